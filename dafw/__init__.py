@@ -1,0 +1,1 @@
+"""dafw: a laboratory for data-assimilation studies."""

@@ -1,0 +1,49 @@
+"""Named exceptions, each with the exit status of a command: 2, the request was wrong; 1, a computation failed."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+
+class DafwError(Exception):
+    """Everything that dafw raises on purpose."""
+
+    exit_status: ClassVar[int] = 1
+
+
+class RequestError(DafwError):
+    """What was asked for cannot be done: found before anything is computed."""
+
+    exit_status = 2
+
+
+class ConfigurationError(RequestError):
+    """A configuration holds a value, a name or a combination that is not accepted."""
+
+
+class OptionError(ConfigurationError):
+    """An option is unknown, of the wrong type or out of range."""
+
+
+class PluginError(RequestError):
+    """A plugin cannot be registered, found or built; the message names it."""
+
+
+class SiteError(RequestError):
+    """A site description cannot be turned into a computational domain."""
+
+
+class RunError(RequestError):
+    """A folder or file does not hold a run that can be read, or holds one that must not be overwritten."""
+
+
+class ComputationError(DafwError):
+    """A computation failed although the request was a legal one."""
+
+
+class ContractError(ComputationError):
+    """A plugin broke its interface: wrong shape, non-finite numbers, changed inputs. The message names the plugin."""
+
+
+class SolverError(ComputationError):
+    """A solver did not reach its tolerance; its result must not be used."""

@@ -1,0 +1,188 @@
+"""Options of plugins: typed dataclass fields with a help text and a range, checked before anything is computed.
+
+A plugin's options are the fields of its dataclass::
+
+    @dataclass
+    class ETKF(Filter):
+        inflation: float = option(1.0, "factor on the forecast anomalies", minimum=1.0)
+
+Nested dataclasses group options. ``schema`` turns such a class into what Hydra composes, ``build`` turns a composed
+mapping back into an instance, and ``describe`` lists the options for people.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import types
+import typing
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass, make_dataclass
+from typing import Any
+
+from dafw.core.errors import OptionError
+
+
+def option(
+    default: Any,
+    help: str,
+    *,
+    minimum: float | None = None,
+    above: float | None = None,
+    maximum: float | None = None,
+    choices: Sequence[Any] | None = None,
+) -> Any:
+    """Declare one option of a plugin.
+
+    ``minimum`` and ``maximum`` are inclusive, ``above`` is exclusive; each holds for every number in a list.
+    A mutable default (list, dict) or a dataclass type is made anew for every instance.
+    """
+    metadata = {"help": help, "minimum": minimum, "above": above, "maximum": maximum, "choices": choices}
+    if isinstance(default, type):
+        return field(default_factory=default, metadata=metadata)
+    if isinstance(default, list | dict):
+        return field(default_factory=lambda: type(default)(default), metadata=metadata)
+    return field(default=default, metadata=metadata)
+
+
+def context(**keywords: Any) -> Any:
+    """Declare a keyword-only field that the experiment fills in (the state space, say): not an option."""
+    return field(kw_only=True, metadata={"context": True}, **keywords)
+
+
+@dataclass(frozen=True)
+class Described:
+    """One option as people see it: dotted name, type, default, help."""
+
+    name: str
+    type: str
+    default: Any
+    help: str
+
+
+def _option_fields(cls: type) -> list[tuple[dataclasses.Field[Any], Any]]:
+    """The option fields of a dataclass with their resolved types."""
+    if not is_dataclass(cls):
+        raise OptionError(f"{cls.__module__}.{cls.__qualname__} is not a dataclass: decorate it with @dataclass")
+    hints = typing.get_type_hints(cls)
+    return [(f, hints[f.name]) for f in fields(cls) if f.init and not f.metadata.get("context")]
+
+
+def _default(f: dataclasses.Field[Any]) -> Any:
+    return f.default_factory() if f.default_factory is not MISSING else f.default
+
+
+def schema(cls: type, **fixed: str) -> type:
+    """Return a dataclass type that Hydra can compose: the options of ``cls`` after the ``fixed`` string fields."""
+    made: list[tuple[str, Any, Any]] = [(name, str, field(default=value)) for name, value in fixed.items()]
+    for f, hint in _option_fields(cls):
+        if is_dataclass(hint) and isinstance(hint, type):
+            nested = schema(hint)
+            made.append((f.name, nested, field(default_factory=nested)))
+        elif f.default is MISSING and f.default_factory is MISSING:
+            made.append((f.name, _composable(hint), field(default="???")))
+        elif f.default_factory is not MISSING:
+            made.append((f.name, _composable(hint), field(default_factory=f.default_factory)))
+        else:
+            made.append((f.name, _composable(hint), field(default=f.default)))
+    return make_dataclass(cls.__name__, made)
+
+
+def _composable(hint: Any) -> Any:
+    """Return the type that Hydra checks; what it cannot express (a union with a list) is checked by ``build`` alone."""
+    parts = [part for part in typing.get_args(hint) if part is not type(None)]
+    if isinstance(hint, types.UnionType) or typing.get_origin(hint) is typing.Union:
+        return hint if len(parts) == 1 and typing.get_origin(parts[0]) is None else Any
+    return hint
+
+
+def build[T](cls: type[T], values: Mapping[str, Any], where: str, **context: Any) -> T:
+    """Make a ``cls`` from plain values, nested mappings included.
+
+    ``where`` names the place in messages (``filter 'etkf'``). Raises OptionError where an option is unknown, of the
+    wrong type or out of range.
+    """
+    known = dict((f.name, (f, hint)) for f, hint in _option_fields(cls))
+    for name in values:
+        if name not in known:
+            raise OptionError(f"{where}: unknown option '{name}' (accepted: {', '.join(known) or 'none'})")
+    arguments: dict[str, Any] = {}
+    for name, (f, hint) in known.items():
+        if name not in values:
+            if f.default is MISSING and f.default_factory is MISSING:
+                raise OptionError(f"{where}: option '{name}' must be given")
+            arguments[name] = _default(f)
+        elif is_dataclass(hint) and isinstance(hint, type):
+            if not isinstance(values[name], Mapping):
+                raise OptionError(f"{where}: option '{name}' must be a mapping, got {values[name]!r}")
+            arguments[name] = build(hint, values[name], f"{where}, {name}")
+        else:
+            arguments[name] = _checked(values[name], hint, f, where)
+    return cls(**arguments, **context)
+
+
+def _checked(value: Any, hint: Any, f: dataclasses.Field[Any], where: str) -> Any:
+    converted = _converted(value, hint)
+    if converted is MISSING:
+        raise OptionError(f"{where}: option '{f.name}' must be of type {type_name(hint)}, got {value!r}")
+    limits = f.metadata
+    if limits.get("choices") is not None and converted not in limits["choices"]:
+        accepted = ", ".join(map(str, limits["choices"]))
+        raise OptionError(f"{where}: option '{f.name}' must be one of {accepted}; got {value!r}")
+    for number in _numbers(converted):
+        if limits.get("minimum") is not None and not number >= limits["minimum"]:
+            raise OptionError(f"{where}: option '{f.name}' must be at least {limits['minimum']}, got {value!r}")
+        if limits.get("above") is not None and not number > limits["above"]:
+            raise OptionError(f"{where}: option '{f.name}' must be above {limits['above']}, got {value!r}")
+        if limits.get("maximum") is not None and not number <= limits["maximum"]:
+            raise OptionError(f"{where}: option '{f.name}' must be at most {limits['maximum']}, got {value!r}")
+        if number != number or number in (float("inf"), float("-inf")):
+            raise OptionError(f"{where}: option '{f.name}' must be finite, got {value!r}")
+    return converted
+
+
+def _converted(value: Any, hint: Any) -> Any:
+    """Return ``value`` as the hinted type, or MISSING where it is not one; only an int bends, to a float."""
+    origin, parts = typing.get_origin(hint), typing.get_args(hint)
+    if hint is Any:
+        return value
+    if isinstance(hint, types.UnionType) or origin is typing.Union:
+        return next((c for part in parts if (c := _converted(value, part)) is not MISSING), MISSING)
+    if hint is type(None):
+        return None if value is None else MISSING
+    if origin is list and isinstance(value, list | tuple):
+        items = [_converted(item, parts[0]) for item in value]
+        return MISSING if any(item is MISSING for item in items) else items
+    if origin is dict and isinstance(value, Mapping):
+        entries = {key: _converted(item, parts[1]) for key, item in value.items()}
+        return MISSING if any(item is MISSING for item in entries.values()) else entries
+    if hint is float and isinstance(value, int | float) and not isinstance(value, bool):
+        return float(value)
+    if isinstance(hint, type) and isinstance(value, hint) and (hint is bool or not isinstance(value, bool)):
+        return value
+    return MISSING
+
+
+def _numbers(value: Any) -> Iterator[float]:
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        yield value
+    elif isinstance(value, list):
+        for item in value:
+            yield from _numbers(item)
+
+
+def describe(cls: type, prefix: str = "") -> list[Described]:
+    """List the options of ``cls``, nested ones under dotted names."""
+    listed: list[Described] = []
+    for f, hint in _option_fields(cls):
+        if is_dataclass(hint) and isinstance(hint, type):
+            listed += describe(hint, f"{prefix}{f.name}.")
+        else:
+            required = f.default is MISSING and f.default_factory is MISSING
+            default = "(required)" if required else _default(f)
+            listed.append(Described(prefix + f.name, type_name(hint), default, f.metadata.get("help", "")))
+    return listed
+
+
+def type_name(hint: Any) -> str:
+    """Return a type as a reader would write it: ``float | None``, ``list[float]``."""
+    return hint.__name__ if isinstance(hint, type) and not typing.get_args(hint) else str(hint).replace("typing.", "")
