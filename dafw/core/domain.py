@@ -1,0 +1,48 @@
+"""Where things are: a rectangle with obstacles, as vehicles, observers, records and pictures need it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dafw.core.space import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Domain:
+    """A rectangle ``bounds`` (x_min, y_min, x_max, y_max) in metres with polygonal obstacles.
+
+    ``obstacles`` are rings (k, 2) without the closing point; ``triangles`` (faces, 3) connect the nodes of the model's
+    first variable, counter-clockwise; ``landmarks`` are named points for pictures.
+    """
+
+    bounds: tuple[float, float, float, float]
+    obstacles: tuple[Array, ...] = ()
+    obstacle_names: tuple[str, ...] = ()
+    triangles: NDArray[np.int32] | None = None
+    landmarks: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    @cached_property
+    def _tree(self) -> Any:
+        from shapely import Polygon, STRtree
+
+        return STRtree([Polygon(ring) for ring in self.obstacles])
+
+    def contains(self, point: Array) -> bool:
+        """Say whether a point (2,) lies inside the rectangle, its rim included."""
+        x_min, y_min, x_max, y_max = self.bounds
+        return bool(x_min <= point[0] <= x_max and y_min <= point[1] <= y_max)
+
+    def is_free(self, start: Array, end: Array) -> bool:
+        """Say whether the segment from ``start`` (2,) to ``end`` (2,) stays inside and touches no obstacle."""
+        from shapely import LineString, Point
+
+        if not (self.contains(start) and self.contains(end)):
+            return False
+        flown = LineString([start, end]) if np.any(start != end) else Point(start)
+        return len(self._tree.query(flown, predicate="intersects")) == 0

@@ -1,0 +1,203 @@
+"""The four interfaces: Model, Observer, Policy, Filter.
+
+An author's verb computes (``step``, ``operator``, ``decide``, ``analyse``); the user's verb on the base class
+(``forecast``, ``look``, ``route``, ``update``) hands it read-only arrays, checks what comes back (shape, finiteness,
+space) and names the plugin in its error.
+
+Whatever a plugin must remember is explicit. A plugin that remembers overrides ``initial_memory`` and the verb whose
+name ends in ``_with_memory``; one that does not never hears of it. Random numbers come from the generator handed in.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from dafw.core.domain import Domain
+from dafw.core.ensemble import Analysis, Ensemble, Forecast, Memory, Route, Step, Vehicle
+from dafw.core.errors import ConfigurationError, ContractError
+from dafw.core.observation import Observation, ObservationOperator
+from dafw.core.options import context
+from dafw.core.rng import MemberStreams
+from dafw.core.space import Array, StateSpace
+
+
+class Plugin:
+    """What all four kinds share: their kind, and the name under which they were registered."""
+
+    kind: ClassVar[str]
+    name: str = ""
+
+    @property
+    def label(self) -> str:
+        """The plugin as messages name it: ``filter 'etkf'``."""
+        return f"{self.kind} '{self.name or type(self).__name__}'"
+
+    def checked(self, array: Any, shape: tuple[int, ...], what: str) -> Array:
+        """Return ``array`` as float64 of ``shape`` and finite, or raise ContractError with the plugin's name."""
+        values = np.asarray(array)
+        if values.dtype.kind not in "fiu":
+            raise ContractError(f"{self.label}: {what} must be real numbers, got the type {values.dtype}")
+        if values.shape != shape:
+            raise ContractError(f"{self.label}: {what} must have the shape {shape}, got {values.shape}")
+        if not np.isfinite(values).all():
+            place = tuple(int(i) for i in np.argwhere(~np.isfinite(values))[0])
+            raise ContractError(f"{self.label}: {what} holds {values[place]} at {place}")
+        return values.astype(np.float64, copy=False)
+
+
+class Model(Plugin):
+    """How the state evolves from t to t + dt, and what a first guess of it is.
+
+    Authors set ``space`` and ``dt`` (seconds), and ``domain`` where the state has places, and define ``initial`` and
+    ``step`` (or ``step_with_memory``).
+    """
+
+    kind = "model"
+    space: StateSpace
+    dt: float
+    domain: Domain | None = None
+
+    def initial(self, n_members: int, rng: MemberStreams) -> Array:
+        """Return draws (N, n) from the first guess; row i from ``rng[i]`` alone."""
+        raise NotImplementedError(f"{self.label} must define initial(n_members, rng)")
+
+    def step(self, members: Array, t: float, rng: MemberStreams) -> Array:
+        """Return the members (N, n) at t + dt, model error included."""
+        raise NotImplementedError(f"{self.label} must define step(members, t, rng)")
+
+    def initial_memory(self, members: Array) -> Memory | None:
+        """Return what a step of these members (N, n) must be told; arrays have the members on axis 0."""
+        return None
+
+    def step_with_memory(self, members: Array, memory: Memory | None, t: float, rng: MemberStreams) -> Step:
+        """Return the step of a model that remembers."""
+        return Step(self.step(members, t, rng))
+
+    def first_guess(self, n_members: int, rng: MemberStreams) -> Forecast:
+        """Draw, check and wrap the initial ensemble; raises ContractError."""
+        members = self.checked(self.initial(n_members, rng), (n_members, self.space.size), "initial members")
+        return Forecast(Ensemble(members, self.space), self.initial_memory(members))
+
+    def forecast(self, ensemble: Ensemble, memory: Memory | None, rng: MemberStreams) -> Forecast:
+        """Step the ensemble by dt; raises ContractError where shape or numbers are not as agreed."""
+        step = self.step_with_memory(ensemble.members, memory, ensemble.time, rng)
+        members = self.checked(step.members, ensemble.members.shape, "members after a step")
+        return Forecast(Ensemble(members, self.space, ensemble.time + self.dt), step.memory, step.diagnostics)
+
+
+@dataclass
+class Observer(Plugin):
+    """What instruments would read, and how well. ``space`` is the model's, filled in by the experiment."""
+
+    kind = "observer"
+    space: StateSpace = context()
+
+    def operator(self, route: Route, t: float) -> ObservationOperator:
+        """Return H and R of the readings taken along ``route``, which begins at t (seconds)."""
+        raise NotImplementedError(f"{self.label} must define operator(route, t)")
+
+    def look(self, route: Route, t: float) -> ObservationOperator:
+        """Ask for the operator and check that it is one; raises ContractError."""
+        operator = self.operator(route, t)
+        if not isinstance(operator, ObservationOperator):
+            raise ContractError(f"{self.label}: expected an ObservationOperator, got {type(operator).__name__}")
+        return operator
+
+    def read(self, operator: ObservationOperator, ensemble: Ensemble) -> Array:
+        """Return what each member would read (N, m), checked; raises ContractError."""
+        return self.checked(operator.apply(ensemble.members), (len(ensemble), operator.size), "predicted readings")
+
+
+class Policy(Plugin):
+    """Where the instruments go next, knowing only the belief and the vehicle."""
+
+    kind = "policy"
+
+    def decide(self, belief: Ensemble, vehicle: Vehicle, rng: np.random.Generator) -> Route:
+        """Return the route until the next decision."""
+        raise NotImplementedError(f"{self.label} must define decide(belief, vehicle, rng)")
+
+    def initial_memory(self, vehicle: Vehicle) -> Memory | None:
+        """Return what the first decision must be told."""
+        return None
+
+    def decide_with_memory(
+        self, belief: Ensemble, vehicle: Vehicle, memory: Memory | None, rng: np.random.Generator
+    ) -> Route:
+        """Return the route of a policy that remembers."""
+        return self.decide(belief, vehicle, rng)
+
+    def route(self, belief: Ensemble, vehicle: Vehicle, memory: Memory | None, rng: np.random.Generator) -> Route:
+        """Ask for a route and check it: it begins at the vehicles, and no vehicle flies farther than it can."""
+        route = self.decide_with_memory(belief, vehicle, memory, rng)
+        if not isinstance(route, Route):
+            raise ContractError(f"{self.label}: expected a Route, got {type(route).__name__}")
+        if len(route.paths) != len(vehicle.positions):
+            raise ContractError(f"{self.label}: {len(vehicle.positions)} vehicles, but {len(route.paths)} paths")
+        for number, (path, position) in enumerate(zip(route.paths, vehicle.positions, strict=True)):
+            self.checked(path, path.shape, f"the path of vehicle {number}")
+            if len(path) == 0 or not np.array_equal(path[0], position):
+                raise ContractError(f"{self.label}: the path of vehicle {number} does not begin at {position.tolist()}")
+            flown = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+            if flown > vehicle.reach * (1.0 + 1e-9):
+                raise ContractError(
+                    f"{self.label}: vehicle {number} would fly {flown:.6g} m, it can fly {vehicle.reach:.6g} m"
+                )
+        return route
+
+
+class Filter(Plugin):
+    """How the belief changes once the readings are in."""
+
+    kind = "filter"
+    smallest_ensemble: ClassVar[int] = 2
+
+    def analyse(
+        self, forecast: Ensemble, predicted: Array, observation: Observation, rng: np.random.Generator
+    ) -> Analysis:
+        """Return the analysis of a forecast whose members predict the readings ``predicted`` (N, m)."""
+        raise NotImplementedError(f"{self.label} must define analyse(forecast, predicted, observation, rng)")
+
+    def initial_memory(self, n_members: int) -> Memory | None:
+        """Return what the first analysis must be told."""
+        return None
+
+    def analyse_with_memory(
+        self,
+        forecast: Ensemble,
+        predicted: Array,
+        observation: Observation,
+        memory: Memory | None,
+        rng: np.random.Generator,
+    ) -> Analysis:
+        """Return the analysis of a filter that remembers."""
+        return self.analyse(forecast, predicted, observation, rng)
+
+    def require_members(self, n_members: int) -> None:
+        """Raise ConfigurationError where the filter cannot work with so few members."""
+        if n_members < self.smallest_ensemble:
+            raise ConfigurationError(
+                f"{self.label} needs at least {self.smallest_ensemble} members, the study has {n_members}"
+            )
+
+    def update(
+        self,
+        forecast: Ensemble,
+        predicted: Array,
+        observation: Observation,
+        memory: Memory | None,
+        rng: np.random.Generator,
+    ) -> Analysis:
+        """Analyse and check; with no readings at all the forecast is the analysis."""
+        if observation.values.size == 0:
+            return Analysis(forecast.members, memory)
+        predicted = self.checked(predicted, (len(forecast), observation.values.size), "predicted readings")
+        predicted.setflags(write=False)
+        analysis = self.analyse_with_memory(forecast, predicted, observation, memory, rng)
+        if not isinstance(analysis, Analysis):
+            raise ContractError(f"{self.label}: expected an Analysis, got {type(analysis).__name__}")
+        members = self.checked(analysis.members, forecast.members.shape, "members after the analysis")
+        return Analysis(members, analysis.memory, analysis.diagnostics)

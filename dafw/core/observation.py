@@ -1,0 +1,130 @@
+"""Observation operators and observations. R is always a covariance: (m,) where diagonal, else (m, m).
+
+An operator carries two covariances: ``covariance``, which the filter is told, and ``noise_covariance``, by which a
+twin experiment's readings are drawn. They are the same unless a study sets them apart, as the paper does.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from dafw.core.ensemble import freeze
+from dafw.core.errors import ConfigurationError
+from dafw.core.space import Array, IntArray
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ObservationOperator:
+    """Base of all operators H. ``coordinates`` (m, d) place the readings, NaN or None where they have no place.
+
+    Raises ConfigurationError for a covariance that is neither (m,) nor (m, m) or whose diagonal is not above zero.
+    """
+
+    covariance: Array
+    noise_covariance: Array | None = None
+    coordinates: Array | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "covariance", freeze(self.covariance))
+        if self.noise_covariance is not None:
+            object.__setattr__(self, "noise_covariance", freeze(self.noise_covariance))
+        for label, matrix in (("covariance", self.covariance), ("noise covariance", self.noise)):
+            shape = matrix.shape
+            if len(shape) not in (1, 2) or any(length != self.size for length in shape):
+                raise ConfigurationError(f"the {label} of {self.size} readings has the shape {shape}")
+            variances = matrix if matrix.ndim == 1 else np.diag(matrix)
+            if not np.all(variances > 0.0):
+                raise ConfigurationError(f"the {label} has variances that are not above zero: {variances.tolist()}")
+
+    @property
+    def size(self) -> int:
+        """How many readings, m."""
+        return len(self.covariance)
+
+    def apply(self, members: Array) -> Array:
+        """Return what each of the members (N, n) would read, (N, m)."""
+        raise NotImplementedError(f"{type(self).__name__} must define apply(members)")
+
+    @property
+    def noise(self) -> Array:
+        """The covariance that readings are drawn by: (m,) where diagonal, else (m, m)."""
+        return self.covariance if self.noise_covariance is None else self.noise_covariance
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Selection(ObservationOperator):
+    """H in {0, 1}: reads the entries ``indices`` (m,) of the state."""
+
+    indices: IntArray
+
+    def apply(self, members: Array) -> Array:
+        """Return the selected columns (N, m)."""
+        return members[:, self.indices]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Stacked(ObservationOperator):
+    """Several operators, one below the other; their errors are independent of each other."""
+
+    parts: tuple[ObservationOperator, ...]
+
+    def apply(self, members: Array) -> Array:
+        """Return the parts' readings side by side (N, m)."""
+        return np.concatenate([part.apply(members) for part in self.parts], axis=1)
+
+
+def stack(parts: tuple[ObservationOperator, ...]) -> ObservationOperator:
+    """Return one operator for all parts, in their order."""
+    coordinates = [np.full((part.size, 2), np.nan) if part.coordinates is None else part.coordinates for part in parts]
+    covariance = _block_diagonal([part.covariance for part in parts])
+    noise = _block_diagonal([part.noise for part in parts])
+    if all(isinstance(part, Selection) for part in parts):
+        indices = np.concatenate([part.indices for part in parts if isinstance(part, Selection)])
+        return Selection(
+            indices=indices, covariance=covariance, noise_covariance=noise, coordinates=np.concatenate(coordinates)
+        )
+    return Stacked(parts=parts, covariance=covariance, noise_covariance=noise, coordinates=np.concatenate(coordinates))
+
+
+def _block_diagonal(blocks: list[Array]) -> Array:
+    if all(block.ndim == 1 for block in blocks):
+        return np.concatenate(blocks)
+    sizes = np.cumsum([0] + [len(block) for block in blocks])
+    joined = np.zeros((sizes[-1], sizes[-1]))
+    for start, stop, block in zip(sizes[:-1], sizes[1:], blocks, strict=True):
+        joined[start:stop, start:stop] = np.diag(block) if block.ndim == 1 else block
+    return joined
+
+
+def whiten(covariance: Array, rows: Array) -> Array:
+    """Return L^-1 applied to each of the rows (m,) or (N, m), where L L^T = covariance: unit error variance."""
+    if covariance.ndim == 1:
+        return np.asarray(rows / np.sqrt(covariance))
+    return np.asarray(np.linalg.solve(np.linalg.cholesky(covariance), rows.T).T)
+
+
+def colour(covariance: Array, rows: Array) -> Array:
+    """Return L applied to each of the rows (m,) or (N, m): standard normal numbers become noise of that covariance."""
+    if covariance.ndim == 1:
+        return np.asarray(rows * np.sqrt(covariance))
+    return np.asarray(rows @ np.linalg.cholesky(covariance).T)
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """Readings ``values`` (m,) at a ``time`` (s), with the operator that made them."""
+
+    values: Array
+    operator: ObservationOperator
+    time: float = 0.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "values", freeze(self.values))
+
+    @cached_property
+    def covariance(self) -> Array:
+        """R as the filter is told: (m,) where diagonal, else (m, m)."""
+        return self.operator.covariance

@@ -1,0 +1,156 @@
+"""The registry: finds packages through the entry-point group ``dafw`` and makes plugins by kind and name.
+
+A package that cannot be imported, misspells the hook or takes a name that is taken does not stop the others: it is
+kept as a ``Problem``, listed by ``dafw plugins``, and raised as PluginError when one asks for what it should have held.
+"""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any
+
+import pluggy
+
+from dafw.core import hookspecs
+from dafw.core.errors import DafwError, OptionError, PluginError
+from dafw.core.hookspecs import PluginSpec
+from dafw.core.interfaces import Filter, Model, Observer, Plugin, Policy
+from dafw.core.options import Described, build, describe, schema
+
+KINDS: dict[str, type[Plugin]] = {"model": Model, "observer": Observer, "policy": Policy, "filter": Filter}
+GROUP = "dafw"
+
+
+@dataclass(frozen=True)
+class Registered:
+    """A plugin and the package that brought it."""
+
+    spec: PluginSpec
+    package: str
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What is wrong with a package or with one of its plugins."""
+
+    package: str
+    message: str
+
+
+class Registry:
+    """The plugins of all packages, by kind and name."""
+
+    def __init__(self, packages: Iterable[EntryPoint]) -> None:
+        self._manager = pluggy.PluginManager(GROUP)
+        self._manager.add_hookspecs(hookspecs)
+        self._plugins: dict[tuple[str, str], Registered] = {}
+        self.problems: list[Problem] = []
+        # dafw's own package first, the others by name: an outsider never takes a built-in's name.
+        for entry in sorted(packages, key=lambda entry: (entry.value != "dafw.plugins", entry.name)):
+            package = f"{entry.dist.name if entry.dist else entry.value} ({entry.value})"
+            try:
+                self._add_package(entry.load(), package)
+            except PluginError as error:
+                self.problems.append(Problem(package, str(error)))
+            except Exception as error:
+                self.problems.append(Problem(package, f"cannot be imported: {type(error).__name__}: {error}"))
+
+    def _add_package(self, module: object, package: str) -> None:
+        for attribute in dir(module):
+            marked = getattr(getattr(module, attribute, None), "dafw_impl", None)
+            if marked and not hasattr(hookspecs, marked.get("specname") or attribute):
+                raise PluginError(f"unknown hook '{attribute}' (the hook is: dafw_plugins)")
+        if not hasattr(getattr(module, "dafw_plugins", None), "dafw_impl"):
+            raise PluginError("defines no hook 'dafw_plugins' marked with @dafw.hookimpl")
+        name = self._manager.register(module)
+        hook = self._manager.subset_hook_caller(
+            "dafw_plugins", [other for other in self._manager.get_plugins() if other is not module]
+        )
+        if name is None:
+            raise PluginError("is registered twice")
+        for spec in (spec for group in hook() for spec in group):
+            self._add(spec, package)
+
+    def _add(self, spec: PluginSpec, package: str) -> None:
+        """Keep one plugin, or note why it cannot be kept."""
+        if not isinstance(spec, PluginSpec):
+            self.problems.append(Problem(package, f"dafw_plugins gave a {type(spec).__name__}, not a PluginSpec"))
+        elif spec.kind not in KINDS:
+            self.problems.append(
+                Problem(package, f"plugin '{spec.name}' has the unknown kind '{spec.kind}' (kinds: {', '.join(KINDS)})")
+            )
+        elif (spec.kind, spec.name) in self._plugins:
+            owner = self._plugins[spec.kind, spec.name].package
+            self.problems.append(Problem(package, f"{spec.kind} '{spec.name}' is taken already by {owner}"))
+        else:
+            self._plugins[spec.kind, spec.name] = Registered(spec, package)
+
+    def plugins(self) -> list[Registered]:
+        """Return all plugins, ordered by kind and name."""
+        order = list(KINDS)
+        return sorted(self._plugins.values(), key=lambda r: (order.index(r.spec.kind), r.spec.name))
+
+    def names(self, kind: str) -> list[str]:
+        """Return the names of one kind."""
+        return sorted(name for k, name in self._plugins if k == kind)
+
+    def plugin_class(self, kind: str, name: str) -> type[Plugin]:
+        """Import and return the class of a plugin; raises PluginError with the reason."""
+        if (kind, name) not in self._plugins:
+            raise PluginError(f"there is no {kind} '{name}' ({self._nearest(kind, name)}){self._reasons()}")
+        registered = self._plugins[kind, name]
+        module, _, attribute = registered.spec.target.partition(":")
+        try:
+            cls = getattr(importlib.import_module(module), attribute)
+        except Exception as error:
+            reason = f"{type(error).__name__}: {error}"
+            raise PluginError(
+                f"{kind} '{name}' of {registered.package}: {registered.spec.target} cannot be imported: {reason}"
+            ) from error
+        if not (isinstance(cls, type) and issubclass(cls, KINDS[kind])):
+            raise PluginError(f"{kind} '{name}' of {registered.package}: {registered.spec.target} is no {kind} class")
+        return cls
+
+    def _nearest(self, kind: str, name: str) -> str:
+        close = difflib.get_close_matches(name, self.names(kind), n=1)
+        there = f"there are: {', '.join(self.names(kind)) or 'none'}"
+        return f"did you mean '{close[0]}'? {there}" if close else there
+
+    def _reasons(self) -> str:
+        return "".join(f"; package {problem.package}: {problem.message}" for problem in self.problems)
+
+    def options(self, kind: str, name: str) -> list[Described]:
+        """List the options of a plugin."""
+        return describe(self.plugin_class(kind, name))
+
+    def schema(self, kind: str, name: str) -> type:
+        """Return the dataclass type that Hydra composes for a plugin."""
+        try:
+            return schema(self.plugin_class(kind, name), name=name)
+        except OptionError as error:
+            raise PluginError(f"{kind} '{name}': {error}") from error
+
+    def create(self, kind: str, config: Mapping[str, Any], **context: Any) -> Any:
+        """Make a plugin from a mapping that holds its ``name`` and options; raises PluginError, OptionError."""
+        options = dict(config)
+        name = options.pop("name", None)
+        if not isinstance(name, str):
+            raise PluginError(f"a {kind} needs a name ({self._nearest(kind, str(name))})")
+        cls = self.plugin_class(kind, name)
+        plugin = build(cls, options, f"{kind} '{name}'", **context)
+        plugin.name = name
+        return plugin
+
+
+@cache
+def registry() -> Registry:
+    """Return the registry of everything that is installed."""
+    return Registry(entry_points(group=GROUP))
+
+
+__all__ = ["KINDS", "DafwError", "Problem", "Registered", "Registry", "registry"]

@@ -1,0 +1,171 @@
+"""What the numbers of a state mean, and how to average, subtract and move them.
+
+A state is a plain vector of length n; an ensemble is an array ``members (N, n)``. A ``StateSpace`` says which slice
+is which variable and of which kind, so that filters, scores and pictures speak only of ``mean``, ``difference`` and
+``retract``:
+
+======================  ==============================  ===================================  =====================
+kind                    mean                            difference a - b                     retract x + dx
+======================  ==============================  ===================================  =====================
+``FIELD``               arithmetic                      a - b                                x + dx
+``NONNEGATIVE``         arithmetic                      a - b                                max(0, x + dx)
+``ANGLE`` (radians)     circular, in [0, 2 pi)          wrapped to [-pi, pi)                 (x + dx) mod 2 pi
+======================  ==============================  ===================================  =====================
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dafw.core.errors import ConfigurationError
+
+type Array = NDArray[np.float64]
+type IntArray = NDArray[np.int64]
+
+TWO_PI = 2.0 * np.pi
+
+
+class Kind(Enum):
+    """How a variable's numbers behave."""
+
+    FIELD = "field"
+    NONNEGATIVE = "nonnegative"
+    ANGLE = "angle"
+
+
+FIELD, NONNEGATIVE, ANGLE = Kind.FIELD, Kind.NONNEGATIVE, Kind.ANGLE
+
+
+@dataclass(frozen=True, eq=False)
+class Variable:
+    """One named slice of the state.
+
+    ``size`` numbers of one ``kind`` in ``units`` (UDUNITS spelling); ``coordinates`` is (size, d) in metres, or None
+    where the numbers have no place. Raises ConfigurationError where these do not fit together.
+    """
+
+    name: str
+    size: int
+    kind: Kind = FIELD
+    units: str = "1"
+    coordinates: Array | None = None
+    long_name: str = ""
+
+    def __post_init__(self) -> None:
+        if not self.name.isidentifier():
+            raise ConfigurationError(f"a variable's name must be an identifier, got {self.name!r}")
+        if self.size < 1:
+            raise ConfigurationError(f"variable '{self.name}' must have a size of at least 1, got {self.size}")
+        if self.coordinates is not None and (self.coordinates.ndim != 2 or len(self.coordinates) != self.size):
+            raise ConfigurationError(
+                f"variable '{self.name}': coordinates must have the shape ({self.size}, d), "
+                f"got {self.coordinates.shape}"
+            )
+
+    @cached_property
+    def _tree(self) -> Any:
+        from scipy.spatial import KDTree
+
+        if self.coordinates is None:
+            raise ConfigurationError(f"variable '{self.name}' has no coordinates to be near to")
+        return KDTree(self.coordinates)
+
+    def nearest(self, points: Array) -> IntArray:
+        """Return for each of the points (m, d) the index (m,) of the nearest entry of this variable."""
+        return np.asarray(self._tree.query(points)[1], dtype=np.int64)
+
+
+class StateSpace:
+    """The variables of a state in order. Variables of the same name are refused (ConfigurationError)."""
+
+    def __init__(self, variables: tuple[Variable, ...] | list[Variable]) -> None:
+        self.variables = tuple(variables)
+        self._slices: dict[str, slice] = {}
+        start = 0
+        for variable in self.variables:
+            if variable.name in self._slices:
+                raise ConfigurationError(f"the state space has two variables named '{variable.name}'")
+            self._slices[variable.name] = slice(start, start + variable.size)
+            start += variable.size
+        if start == 0:
+            raise ConfigurationError("a state space needs at least one variable")
+        self.size = start
+        self._nonnegative = self._indices(NONNEGATIVE)
+        self._angles = self._indices(ANGLE)
+
+    def __repr__(self) -> str:
+        listed = ", ".join(f"{v.name} ({v.size}, {v.kind.value})" for v in self.variables)
+        return f"StateSpace({listed})"
+
+    def _indices(self, kind: Kind) -> IntArray:
+        chosen = [np.arange(self.size)[self._slices[v.name]] for v in self.variables if v.kind is kind]
+        return np.concatenate(chosen) if chosen else np.empty(0, dtype=np.int64)
+
+    def __getitem__(self, name: str) -> Variable:
+        """Return the variable of that name; ConfigurationError lists the names there are."""
+        for variable in self.variables:
+            if variable.name == name:
+                return variable
+        raise ConfigurationError(f"no state variable '{name}' (there are: {', '.join(self._slices)})")
+
+    def slice(self, name: str) -> slice:
+        """Return the slice of the state that holds the variable."""
+        self[name]
+        return self._slices[name]
+
+    def unpack(self, members: Array) -> dict[str, Array]:
+        """Return views (..., size) of ``members`` (..., n) by variable name."""
+        return {name: members[..., part] for name, part in self._slices.items()}
+
+    def pack(self, values: Mapping[str, Any]) -> Array:
+        """Return (..., n) from one array per variable: (..., size), or (...,) for a variable of size 1."""
+        parts = []
+        for variable in self.variables:
+            part = np.asarray(values[variable.name], dtype=np.float64)
+            parts.append(part if part.ndim and part.shape[-1] == variable.size else part[..., np.newaxis])
+        lead = np.broadcast_shapes(*(part.shape[:-1] for part in parts))
+        return np.concatenate([np.broadcast_to(part, lead + part.shape[-1:]) for part in parts], axis=-1)
+
+    def mean(self, members: Array) -> Array:
+        """Return the mean (n,) over the members (N, n); circular for angles."""
+        mean: Array = members.mean(axis=0)
+        if self._angles.size:
+            angles = members[:, self._angles]
+            mean[self._angles] = _modulo(np.arctan2(np.sin(angles).mean(axis=0), np.cos(angles).mean(axis=0)))
+        return mean
+
+    def difference(self, a: Array, b: Array) -> Array:
+        """Return a - b (..., n); angles wrapped to [-pi, pi)."""
+        difference: Array = np.subtract(a, b)
+        if self._angles.size:
+            difference[..., self._angles] = _modulo(difference[..., self._angles] + np.pi) - np.pi
+        return difference
+
+    def retract(self, x: Array, dx: Array) -> Array:
+        """Return x + dx (..., n), brought back into the set: nonnegative values clamped, angles mod 2 pi."""
+        moved: Array = np.add(x, dx)
+        if self._nonnegative.size:
+            moved[..., self._nonnegative] = np.maximum(moved[..., self._nonnegative], 0.0)
+        if self._angles.size:
+            moved[..., self._angles] = _modulo(moved[..., self._angles])
+        return moved
+
+    def spread(self, members: Array) -> Array:
+        """Return the sample standard deviation (n,) of the members (N, n) about ``mean``; NaN for one member."""
+        if len(members) < 2:
+            return np.full(self.size, np.nan)
+        anomalies = self.difference(members, self.mean(members))
+        return np.asarray(np.sqrt((anomalies**2).sum(axis=0) / (len(members) - 1)))
+
+
+def _modulo(angle: Array) -> Array:
+    """Return the angle in [0, 2 pi): ``np.mod`` alone rounds tiny negative numbers up to 2 pi itself."""
+    reduced = np.mod(angle, TWO_PI)
+    return np.where(reduced >= TWO_PI, 0.0, reduced)
