@@ -76,7 +76,8 @@ class Ensemble:
 class Vehicle:
     """The vehicles as a policy sees them: ``positions`` (V, 2) in metres, ``speed`` in m/s.
 
-    ``dt`` is the time to the next decision in seconds; ``airspace`` is where they may fly, None where nothing limits them.
+    ``dt`` is the time to the next decision in seconds; ``airspace`` is where they may fly, None where nothing limits
+    them.
     """
 
     positions: Array

@@ -10,7 +10,6 @@ name ends in ``_with_memory``; one that does not never hears of it. Random numbe
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
@@ -19,7 +18,6 @@ from dafw.core.domain import Domain
 from dafw.core.ensemble import Analysis, Ensemble, Forecast, Memory, Route, Step, Vehicle
 from dafw.core.errors import ConfigurationError, ContractError
 from dafw.core.observation import Observation, ObservationOperator
-from dafw.core.options import context
 from dafw.core.rng import MemberStreams
 from dafw.core.space import Array, StateSpace
 
@@ -88,20 +86,18 @@ class Model(Plugin):
         return Forecast(Ensemble(members, self.space, ensemble.time + self.dt), step.memory, step.diagnostics)
 
 
-@dataclass
 class Observer(Plugin):
-    """What instruments would read, and how well. ``space`` is the model's, filled in by the experiment."""
+    """What instruments would read, and how well."""
 
     kind = "observer"
-    space: StateSpace = context()
 
-    def operator(self, route: Route, t: float) -> ObservationOperator:
-        """Return H and R of the readings taken along ``route``, which begins at t (seconds)."""
-        raise NotImplementedError(f"{self.label} must define operator(route, t)")
+    def operator(self, space: StateSpace, route: Route, t: float) -> ObservationOperator:
+        """Return H and R of the readings of a state in ``space`` taken along ``route``, which begins at t (seconds)."""
+        raise NotImplementedError(f"{self.label} must define operator(space, route, t)")
 
-    def look(self, route: Route, t: float) -> ObservationOperator:
+    def look(self, space: StateSpace, route: Route, t: float) -> ObservationOperator:
         """Ask for the operator and check that it is one; raises ContractError."""
-        operator = self.operator(route, t)
+        operator = self.operator(space, route, t)
         if not isinstance(operator, ObservationOperator):
             raise ContractError(f"{self.label}: expected an ObservationOperator, got {type(operator).__name__}")
         return operator
@@ -191,9 +187,9 @@ class Filter(Plugin):
         memory: Memory | None,
         rng: np.random.Generator,
     ) -> Analysis:
-        """Analyse and check; with no readings at all the forecast is the analysis."""
+        """Analyse and check; with no readings at all the forecast, brought into the state's set, is the analysis."""
         if observation.values.size == 0:
-            return Analysis(forecast.members, memory)
+            return Analysis(forecast.space.retract(forecast.members, np.zeros(forecast.space.size)), memory)
         predicted = self.checked(predicted, (len(forecast), observation.values.size), "predicted readings")
         predicted.setflags(write=False)
         analysis = self.analyse_with_memory(forecast, predicted, observation, memory, rng)

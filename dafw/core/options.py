@@ -44,11 +44,6 @@ def option(
     return field(default=default, metadata=metadata)
 
 
-def context(**keywords: Any) -> Any:
-    """Declare a keyword-only field that the experiment fills in (the state space, say): not an option."""
-    return field(kw_only=True, metadata={"context": True}, **keywords)
-
-
 @dataclass(frozen=True)
 class Described:
     """One option as people see it: dotted name, type, default, help."""
@@ -64,7 +59,7 @@ def _option_fields(cls: type) -> list[tuple[dataclasses.Field[Any], Any]]:
     if not is_dataclass(cls):
         raise OptionError(f"{cls.__module__}.{cls.__qualname__} is not a dataclass: decorate it with @dataclass")
     hints = typing.get_type_hints(cls)
-    return [(f, hints[f.name]) for f in fields(cls) if f.init and not f.metadata.get("context")]
+    return [(f, hints[f.name]) for f in fields(cls) if f.init]
 
 
 def _default(f: dataclasses.Field[Any]) -> Any:
@@ -95,7 +90,7 @@ def _composable(hint: Any) -> Any:
     return hint
 
 
-def build[T](cls: type[T], values: Mapping[str, Any], where: str, **context: Any) -> T:
+def build[T](cls: type[T], values: Mapping[str, Any], where: str) -> T:
     """Make a ``cls`` from plain values, nested mappings included.
 
     ``where`` names the place in messages (``filter 'etkf'``). Raises OptionError where an option is unknown, of the
@@ -117,7 +112,7 @@ def build[T](cls: type[T], values: Mapping[str, Any], where: str, **context: Any
             arguments[name] = build(hint, values[name], f"{where}, {name}")
         else:
             arguments[name] = _checked(values[name], hint, f, where)
-    return cls(**arguments, **context)
+    return cls(**arguments)
 
 
 def _checked(value: Any, hint: Any, f: dataclasses.Field[Any], where: str) -> Any:

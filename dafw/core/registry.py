@@ -17,7 +17,7 @@ from typing import Any
 import pluggy
 
 from dafw.core import hookspecs
-from dafw.core.errors import DafwError, OptionError, PluginError
+from dafw.core.errors import OptionError, PluginError
 from dafw.core.hookspecs import PluginSpec
 from dafw.core.interfaces import Filter, Model, Observer, Plugin, Policy
 from dafw.core.options import Described, build, describe, schema
@@ -67,14 +67,14 @@ class Registry:
                 raise PluginError(f"unknown hook '{attribute}' (the hook is: dafw_plugins)")
         if not hasattr(getattr(module, "dafw_plugins", None), "dafw_impl"):
             raise PluginError("defines no hook 'dafw_plugins' marked with @dafw.hookimpl")
-        name = self._manager.register(module)
-        hook = self._manager.subset_hook_caller(
-            "dafw_plugins", [other for other in self._manager.get_plugins() if other is not module]
-        )
-        if name is None:
-            raise PluginError("is registered twice")
-        for spec in (spec for group in hook() for spec in group):
-            self._add(spec, package)
+        others = self._manager.get_plugins()
+        try:
+            self._manager.register(module)
+        except (pluggy.PluginValidationError, ValueError) as error:
+            raise PluginError(f"cannot be registered: {' '.join(str(error).split())}") from error
+        for specs in self._manager.subset_hook_caller("dafw_plugins", others)():
+            for spec in specs:
+                self._add(spec, package)
 
     def _add(self, spec: PluginSpec, package: str) -> None:
         """Keep one plugin, or note why it cannot be kept."""
@@ -135,14 +135,14 @@ class Registry:
         except OptionError as error:
             raise PluginError(f"{kind} '{name}': {error}") from error
 
-    def create(self, kind: str, config: Mapping[str, Any], **context: Any) -> Any:
+    def create(self, kind: str, config: Mapping[str, Any]) -> Any:
         """Make a plugin from a mapping that holds its ``name`` and options; raises PluginError, OptionError."""
         options = dict(config)
         name = options.pop("name", None)
         if not isinstance(name, str):
             raise PluginError(f"a {kind} needs a name ({self._nearest(kind, str(name))})")
         cls = self.plugin_class(kind, name)
-        plugin = build(cls, options, f"{kind} '{name}'", **context)
+        plugin = build(cls, options, f"{kind} '{name}'")
         plugin.name = name
         return plugin
 
@@ -151,6 +151,3 @@ class Registry:
 def registry() -> Registry:
     """Return the registry of everything that is installed."""
     return Registry(entry_points(group=GROUP))
-
-
-__all__ = ["KINDS", "DafwError", "Problem", "Registered", "Registry", "registry"]

@@ -1,12 +1,46 @@
-"""The triangle mesh of a site: gmsh makes it, DOLFINx reads it."""
+"""The triangle mesh of a site: gmsh makes it, a cache keeps it, DOLFINx reads it."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import hashlib
+import json
+import logging
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
+
+import numpy as np
+
+from dafw.core.errors import RequestError
+from dafw.core.options import option
+from dafw.plugins.models.dispersion.site import Site
 
 OUTER, WALL = 1, 2
 """Facet tags: the outer rectangle, and the walls of the buildings."""
+
+FORMAT = 1
+"""Counts the ways in which this module made meshes; part of what names a cached file."""
+
+log = logging.getLogger(__name__)
+
+
+class MeshError(RequestError):
+    """A mesh cannot be made as asked for, or a mesh file cannot be used."""
+
+
+@dataclass
+class MeshOptions:
+    """How long the sides of the triangles are."""
+
+    wall_size: float = option(14.0, "m; side of the triangles at the walls of buildings", above=0.0)
+    far_size: float = option(36.0, "m; side of the triangles far from any wall", above=0.0)
+    transition: float = option(100.0, "m; from a wall to where the far size is reached", above=0.0)
+    across: int = option(2, "triangles across a passage, down to a quarter of the wall size", minimum=1)
+    max_nodes: int = option(1_000_000, "refuse a mesh that would have more nodes than about this", minimum=1)
 
 
 @dataclass(frozen=True)
@@ -15,3 +49,146 @@ class TaggedMesh:
 
     mesh: Any
     facet_tags: Any
+
+
+def generate(site: Site, options: MeshOptions) -> Path:
+    """Return the .msh file of a site, made now unless the cache holds it; equal input gives equal bytes.
+
+    The cache is the folder ``DAFW_CACHE``, or else the user's cache folder; a file's name is the digest of all that
+    defines it. Raises MeshError where the options make no sense, the mesh would be too large, or gmsh fails.
+    """
+    from dafw.plugins.models.dispersion.sizing import check, size_function
+
+    check(site, options)
+    path = cache_folder() / f"mesh-{_digest(site, options)}.msh"
+    if path.exists():
+        if _is_whole(path):
+            return path
+        log.warning("mesh file %s is damaged: it is made anew", path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=path.parent, prefix="making-") as folder:
+        made = Path(folder) / "mesh.msh"
+        with _gmsh() as gmsh:
+            try:
+                _draw(gmsh, site)
+                gmsh.model.mesh.setSizeCallback(size_function(site, options))
+                gmsh.model.mesh.generate(2)
+                gmsh.write(str(made))
+            except Exception as error:
+                raise MeshError(f"mesh: gmsh failed on {len(site.buildings)} buildings ({error})") from None
+        content = made.read_bytes()
+        made.write_bytes(content + _seal(content))
+        os.replace(made, path)
+    return path
+
+
+def load(path: Path, comm: Any = None) -> TaggedMesh:
+    """Read a file of ``generate`` into DOLFINx, on MPI.COMM_SELF unless told otherwise.
+
+    Raises MeshError where the file is missing or damaged, or a facet of its boundary is not tagged.
+    """
+    import dolfinx_solver  # noqa: F401  (before dolfinx: it makes the libraries findable)
+    from dolfinx.io import gmsh as dolfinx_gmsh
+    from dolfinx.mesh import exterior_facet_indices
+    from mpi4py import MPI
+
+    if not path.is_file():
+        raise MeshError(f"mesh file {path}: not found")
+    if not _is_whole(path):
+        raise MeshError(f"mesh file {path}: damaged, expected a file made by dafw (delete it, and it is made anew)")
+    with _gmsh() as gmsh:
+        gmsh.merge(str(path))
+        data = dolfinx_gmsh.model_to_mesh(gmsh.model, comm or MPI.COMM_SELF, 0, gdim=2)
+    mesh, tags = data.mesh, data.facet_tags
+    mesh.topology.create_connectivity(1, 2)
+    if not np.array_equal(np.sort(tags.indices), np.sort(exterior_facet_indices(mesh.topology))):
+        raise MeshError(f"mesh file {path}: {len(tags.indices)} facets are tagged, expected exactly the boundary")
+    return TaggedMesh(mesh, tags)
+
+
+def topology(tagged: TaggedMesh) -> tuple[np.ndarray, np.ndarray]:
+    """Return nodes (nodes, 2) in m and triangles (faces, 3), int32, counter-clockwise.
+
+    Nodes are numbered like the degrees of freedom of the P1 space on the mesh, triangles like its cells.
+    """
+    from dolfinx.fem import functionspace
+
+    space = functionspace(tagged.mesh, ("Lagrange", 1))
+    nodes = space.tabulate_dof_coordinates()[:, :2].copy()
+    triangles = space.dofmap.list.astype(np.int32)
+    a, b, c = nodes[triangles].transpose(1, 2, 0)
+    clockwise = (b[0] - a[0]) * (c[1] - a[1]) < (b[1] - a[1]) * (c[0] - a[0])
+    triangles[clockwise, 1:] = triangles[clockwise, :0:-1]
+    return nodes, triangles
+
+
+def cache_folder() -> Path:
+    """Return the folder that meshes are kept in: ``DAFW_CACHE``, or else the user's cache folder."""
+    from platformdirs import user_cache_dir
+
+    return Path(os.environ.get("DAFW_CACHE") or user_cache_dir("dafw"))
+
+
+def _digest(site: Site, options: MeshOptions) -> str:
+    """Name everything that a mesh depends on."""
+    import gmsh
+
+    defining = {
+        "format": FORMAT,
+        "gmsh": gmsh.__version__,
+        "bounds": site.bounds,
+        "buildings": [[list(corner) for corner in building.exterior.coords] for building in site.buildings],
+        "options": asdict(options),
+    }
+    return hashlib.sha256(json.dumps(defining, sort_keys=True).encode()).hexdigest()[:32]
+
+
+def _seal(content: bytes) -> bytes:
+    """A closing section that gmsh passes over and that shows a damaged file for what it is."""
+    return f"$Comments\nsha256 {hashlib.sha256(content).hexdigest()}\n$EndComments\n".encode()
+
+
+def _is_whole(path: Path) -> bool:
+    content, mark, _ = (whole := path.read_bytes()).rpartition(b"$Comments\n")
+    return bool(mark) and whole == content + _seal(content)
+
+
+@contextmanager
+def _gmsh() -> Iterator[Any]:
+    """Give gmsh with a fresh model: quiet, one thread, no start-up files, no signal handlers; left as it was found."""
+    import gmsh
+
+    running = bool(gmsh.isInitialized())
+    if not running:
+        gmsh.initialize(readConfigFiles=False, interruptible=False)
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        gmsh.option.setNumber("General.NumThreads", 1)
+        for source in ("ExtendFromBoundary", "FromPoints", "FromCurvature"):
+            gmsh.option.setNumber(f"Mesh.MeshSize{source}", 0)
+        gmsh.option.setNumber("Mesh.LcIntegrationPrecision", 1e-3)
+        gmsh.option.setNumber("Mesh.Algorithm", 6)
+        gmsh.option.setNumber("Mesh.MshFileVersion", 4.1)
+        gmsh.model.add("dafw")
+        yield gmsh
+        if running:
+            gmsh.model.remove()
+    finally:
+        if not running:
+            gmsh.finalize()
+
+
+def _draw(gmsh: Any, site: Site) -> None:
+    """Draw the rectangle with its holes, and name the parts that the solvers need."""
+    geo, loops, curves = gmsh.model.geo, [], []
+    for ring in (site.domain.exterior, *site.domain.interiors):
+        points = [geo.addPoint(x, y, 0.0) for x, y in list(ring.coords)[:-1]]
+        lines = [geo.addLine(a, b) for a, b in zip(points, points[1:] + points[:1], strict=True)]
+        loops.append(geo.addCurveLoop(lines))
+        curves.append(lines)
+    surface = geo.addPlaneSurface(loops)
+    geo.synchronize()
+    gmsh.model.addPhysicalGroup(1, curves[0], OUTER)
+    if curves[1:]:
+        gmsh.model.addPhysicalGroup(1, [line for lines in curves[1:] for line in lines], WALL)
+    gmsh.model.addPhysicalGroup(2, [surface], 1)

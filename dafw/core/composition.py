@@ -1,0 +1,137 @@
+"""Composing a configuration with Hydra, and refusing one that is wrong or would run code of its own choosing.
+
+Every plugin's options appear in Hydra as ``<kind>=<name>`` straight from its dataclass; nobody copies YAML. Hydra
+itself instantiates what ``_target_`` (and logging's ``()`` and ``class``) name, so those are refused wherever they
+name anything but Hydra's own parts.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+from hydra import compose as hydra_compose
+from hydra import initialize_config_dir
+from hydra.core.config_store import ConfigStore
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.errors import HydraException
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from dafw.core.errors import ConfigurationError, OptionError, PluginError
+from dafw.core.experiment import Study
+from dafw.core.registry import KINDS, registry
+
+HARMLESS = re.compile(r"hydra\._internal\.|hydra_plugins\.|hydra\.core\.|logging\.|colorlog\.")
+
+
+def config_folder() -> Path:
+    """Return the folder of the shipped configuration: inside an installed package, at the top of a checkout."""
+    package = Path(__file__).resolve().parent.parent
+    installed = package / "conf"
+    return installed if installed.is_dir() else package.parent / "conf"
+
+
+def register_schemas() -> None:
+    """Tell Hydra about the study and every plugin that can be imported."""
+    store = ConfigStore.instance()
+    store.store(name="study", node=Study)
+    for registered in registry().plugins():
+        try:
+            node = registry().schema(registered.spec.kind, registered.spec.name)
+        except PluginError:
+            continue  # asked for by name, the registry says why it is missing
+        store.store(group=registered.spec.kind, name=registered.spec.name, node=node, provider=registered.package)
+
+
+def compose(overrides: Sequence[str], folder: Path | None = None, name: str = "config") -> DictConfig:
+    """Compose a study with Hydra's own part under ``hydra``; raises ConfigurationError in one line."""
+    register_schemas()
+    try:
+        with initialize_config_dir(str(folder or config_folder()), version_base="1.3", job_name="dafw"):
+            config = hydra_compose(name, overrides=list(overrides), return_hydra_config=True)
+    except (HydraException, OmegaConfBaseException, ValueError) as error:
+        raise explained(error) from error
+    refuse_code(config)
+    return config
+
+
+def study_part(config: DictConfig) -> dict[str, Any]:
+    """Return the study's plain values, without Hydra's part."""
+    plain = OmegaConf.masked_copy(config, [str(key) for key in config if key != "hydra"])
+    try:
+        values = OmegaConf.to_container(plain, resolve=True, throw_on_missing=True)
+    except OmegaConfBaseException as error:
+        raise explained(error) from error
+    if not isinstance(values, dict):
+        raise ConfigurationError("the configuration is not a mapping")
+    return {str(key): value for key, value in values.items()}
+
+
+def single_runs(overrides: Sequence[str]) -> Iterator[list[str]]:
+    """Expand the overrides of a multirun into those of its jobs; raises ConfigurationError."""
+    try:
+        parsed = OverridesParser.create().parse_overrides(list(overrides))
+    except HydraException as error:
+        raise explained(error) from error
+    choices = []
+    for override in parsed:
+        if override.is_sweep_override() and override.is_discrete_sweep():
+            choices.append([f"{override.get_key_element()}={value}" for value in override.sweep_string_iterator()])
+        elif not override.is_sweep_override():
+            choices.append([str(override.input_line)])
+    yield from (list(job) for job in product(*choices))
+
+
+def refuse_code(config: DictConfig) -> None:
+    """Raise ConfigurationError where the configuration would have something called by its dotted name."""
+    container = OmegaConf.to_container(config, resolve=False)
+    for path, key, value in _entries(container, ""):
+        names_code = key in ("_target_", "()") or (key == "class" and "_logging." in path)
+        if names_code and not (path.startswith("hydra.") and HARMLESS.match(str(value))):
+            raise ConfigurationError(f"{path}: a configuration may not name code to be run, got {value!r}")
+
+
+def _entries(node: Any, path: str) -> Iterator[tuple[str, str, Any]]:
+    if isinstance(node, Mapping):
+        for key, value in node.items():
+            yield from _entries(value, f"{path}.{key}" if path else str(key))
+            if not isinstance(value, Mapping | list):
+                yield (f"{path}.{key}" if path else str(key)), str(key), value
+    elif isinstance(node, list):
+        for number, item in enumerate(node):
+            yield from _entries(item, f"{path}[{number}]")
+
+
+def explained(error: BaseException) -> ConfigurationError:
+    """Return Hydra's error as one line that says what is accepted."""
+    root: BaseException = error
+    while root.__cause__ is not None and isinstance(root.__cause__, HydraException | OmegaConfBaseException):
+        root = root.__cause__
+    key = getattr(root, "full_key", None)
+    options = getattr(root, "object_type", None)
+    lines = [line.strip() for line in str(root).splitlines() if line.strip()]
+    if key and dataclasses.is_dataclass(options):
+        names = [f.name for f in dataclasses.fields(options) if f.name != "name" or options is Study]
+        last = str(key).rpartition(".")[2]
+        if last not in names and last != "name":
+            return OptionError(f"unknown option '{key}' (accepted: {', '.join(names) or 'none'})")
+        return OptionError(f"option '{key}': {lines[0]}")
+    if missing := re.search(r"Could not find '(\w+)/([^']+)'", str(root)):
+        return ConfigurationError(_unknown_choice(*missing.groups()))
+    text = "; ".join(line for line in lines if not line.startswith(("full_key:", "object_type=", "reference_type=")))
+    return ConfigurationError(f"{key}: {text}" if key and str(key) not in text else text)
+
+
+def _unknown_choice(group: str, name: str) -> str:
+    if group in KINDS:
+        try:
+            registry().plugin_class(group, name)
+        except PluginError as error:
+            return str(error)
+    shipped = sorted(path.stem for path in (config_folder() / group).glob("*.yaml"))
+    return f"there is no {group} '{name}' (there are: {', '.join(shipped) or 'none'})"

@@ -1,0 +1,151 @@
+"""The one time loop, as a pure function from state to state.
+
+::
+
+    belief(t) --Policy--> route --Observer--> H_t, R_t
+    belief(t) --Model---> forecast(t+dt)
+    truth(t)  --Model---> truth(t+dt) --H_t, noise--> y
+    forecast, H_t(forecast), y, R_t --Filter--> belief(t+dt)
+
+``State`` is all that a cycle needs from the one before; random numbers are addressed by seed, role and cycle. So a
+run can be cut anywhere and continued to the same bits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from time import perf_counter
+
+from dafw.core.ensemble import Diagnostics, Ensemble, Forecast, Memory, Route, Vehicle
+from dafw.core.errors import ComputationError, DafwError
+from dafw.core.interfaces import Filter, Model, Observer, Plugin, Policy
+from dafw.core.observation import Observation, colour
+from dafw.core.rng import Streams
+from dafw.core.space import Array
+
+PHASES = ("decide", "forecast", "truth", "free", "observe", "analyse", "record")
+
+
+@dataclass(frozen=True)
+class Parts:
+    """What a study is composed of; ``truth`` and ``free`` are models of one state space, ``free`` may be absent."""
+
+    model: Model
+    truth: Model
+    free: Model | None
+    observer: Observer
+    policy: Policy
+    filter: Filter
+    streams: Streams
+
+
+@dataclass(frozen=True)
+class State:
+    """Everything that the next cycle depends on."""
+
+    cycle: int
+    belief: Forecast
+    truth: Forecast
+    free: Forecast | None
+    vehicle: Vehicle
+    policy_memory: Memory | None
+    filter_memory: Memory | None
+
+
+@dataclass(frozen=True)
+class Cycle:
+    """One finished cycle: the state after it, and how it came about."""
+
+    state: State
+    forecast: Ensemble
+    route: Route
+    observation: Observation
+    predicted: Array
+    diagnostics: dict[str, Diagnostics]
+    seconds: dict[str, float]
+
+
+@dataclass
+class _Clock:
+    """Times the phases of a cycle and says in which one something went wrong."""
+
+    time: float
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @contextmanager
+    def phase(self, name: str, plugin: Plugin) -> Iterator[None]:
+        start = perf_counter()
+        try:
+            yield
+        except DafwError as error:
+            raise type(error)(f"at t = {self.time:g} s, phase '{name}': {error}") from error
+        except Exception as error:
+            raise ComputationError(
+                f"at t = {self.time:g} s, phase '{name}': {plugin.label} raised {type(error).__name__}: {error}"
+            ) from error
+        self.seconds[name] = perf_counter() - start
+
+
+def start(parts: Parts, n_members: int, vehicle: Vehicle) -> State:
+    """Draw the truth, the first belief and the start of the free run."""
+    parts.filter.require_members(n_members)
+    clock, streams = _Clock(0.0), parts.streams
+    with clock.phase("initial", parts.truth):
+        truth = parts.truth.first_guess(1, streams.members("initial truth", 0))
+    with clock.phase("initial", parts.model):
+        belief = parts.model.first_guess(n_members, streams.members("initial belief", 0))
+        free = parts.free.first_guess(1, streams.members("initial free", 0)) if parts.free else None
+    return State(
+        cycle=0,
+        belief=belief,
+        truth=truth,
+        free=free,
+        vehicle=vehicle,
+        policy_memory=parts.policy.initial_memory(vehicle),
+        filter_memory=parts.filter.initial_memory(n_members),
+    )
+
+
+def advance(parts: Parts, state: State) -> Cycle:
+    """Run one cycle. Raises a DafwError that says at which time and in which phase it failed."""
+    streams, cycle = parts.streams, state.cycle
+    belief, truth, free = state.belief, state.truth, state.free
+    clock = _Clock(belief.ensemble.time)
+
+    with clock.phase("decide", parts.policy):
+        generator = streams.generator("policy", cycle)
+        route = parts.policy.route(belief.ensemble, state.vehicle, state.policy_memory, generator)
+    with clock.phase("observe", parts.observer):
+        operator = parts.observer.look(parts.model.space, route, belief.ensemble.time)
+    with clock.phase("forecast", parts.model):
+        forecast = parts.model.forecast(belief.ensemble, belief.memory, streams.members("model error", cycle))
+    with clock.phase("truth", parts.truth):
+        truth = parts.truth.forecast(truth.ensemble, truth.memory, streams.members("truth error", cycle))
+    if parts.free and free:
+        with clock.phase("free", parts.free):
+            free = parts.free.forecast(free.ensemble, free.memory, streams.members("free error", cycle))
+    looked = clock.seconds["observe"]
+    with clock.phase("observe", parts.observer):
+        noise = colour(operator.noise, streams.generator("observation noise", cycle).standard_normal(operator.size))
+        readings = parts.observer.read(operator, truth.ensemble)[0] + noise
+        observation = Observation(readings, operator, forecast.ensemble.time)
+        predicted = parts.observer.read(operator, forecast.ensemble)
+    clock.seconds["observe"] += looked
+    with clock.phase("analyse", parts.filter):
+        generator = streams.generator("filter", cycle)
+        analysis = parts.filter.update(forecast.ensemble, predicted, observation, state.filter_memory, generator)
+
+    posterior = Ensemble(analysis.members, forecast.ensemble.space, forecast.ensemble.time)
+    after = State(
+        cycle=cycle + 1,
+        belief=Forecast(posterior, forecast.memory),
+        truth=Forecast(truth.ensemble, truth.memory),
+        free=free,
+        vehicle=replace(state.vehicle, positions=route.ends),
+        policy_memory=route.memory,
+        filter_memory=analysis.memory,
+    )
+    diagnostics = {"policy": route.diagnostics, "model": forecast.diagnostics, "filter": analysis.diagnostics}
+    return Cycle(after, forecast.ensemble, route, observation, predicted, diagnostics, clock.seconds)

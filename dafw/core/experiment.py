@@ -1,0 +1,121 @@
+"""From a composed configuration to the parts of a cycle.
+
+``Study`` is the whole of what a configuration may say; ``study_from`` checks it without computing anything, and
+``assemble`` builds the plugins. Configuration holds names and numbers only: which code runs is decided by the registry.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from dafw.core.cycle import Parts
+from dafw.core.ensemble import Vehicle
+from dafw.core.errors import ConfigurationError
+from dafw.core.interfaces import Filter, Model, Observer, Policy
+from dafw.core.options import build, option
+from dafw.core.registry import KINDS, registry
+from dafw.core.rng import Streams
+
+
+@dataclass
+class VehicleOptions:
+    """The vehicles of a study."""
+
+    start: list[list[float]] = option([], "where the vehicles are at t = 0, [[x, y], ...] in metres")
+    speed: float = option(10.0, "speed of every vehicle in m/s", minimum=0.0)
+
+
+@dataclass
+class RecordOptions:
+    """What ``run.nc`` keeps beyond means and spreads."""
+
+    members: str = option(
+        "parameters", "state variables of which every member is kept", choices=("none", "parameters", "all")
+    )
+
+
+@dataclass
+class Study:
+    """Everything that a study's configuration may say."""
+
+    name: str = option("study", "name of the study, for folders and titles")
+    seed: int = option(0, "seed of every random stream", minimum=0)
+    members: int = option(10, "number N of ensemble members", minimum=1)
+    cycles: int = option(100, "number of cycles", minimum=1)
+    model: dict[str, Any] = option({}, "the model's name and options")
+    truth: dict[str, Any] = option({}, "options in which the truth differs from the model")
+    free: dict[str, Any] | None = option({}, "options in which the free run differs from the model; null: no free run")
+    observer: dict[str, Any] = option({}, "the observer's name and options")
+    policy: dict[str, Any] = option({}, "the policy's name and options")
+    filter: dict[str, Any] = option({}, "the filter's name and options")
+    vehicle: VehicleOptions = field(default_factory=VehicleOptions)
+    record: RecordOptions = field(default_factory=RecordOptions)
+    section: list[list[float]] = option([], "corners [[x, y], ...] of the polyline of the section picture, in metres")
+    pictures: bool = option(True, "draw the pictures at the end")
+
+
+def merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return ``base`` with ``changes`` laid over it, nested mappings entry by entry."""
+    result = dict(base)
+    for name, value in changes.items():
+        old = result.get(name)
+        result[name] = merged(old, value) if isinstance(old, Mapping) and isinstance(value, Mapping) else value
+    return result
+
+
+def _variant(model: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the configuration of a model that differs from ``model``; another name starts from that plugin's own."""
+    return dict(changes) if changes.get("name", model.get("name")) != model.get("name") else merged(model, changes)
+
+
+def study_from(config: Mapping[str, Any]) -> Study:
+    """Check a composed configuration as far as that is possible without computing; raises ConfigurationError."""
+    study = build(Study, config, "study")
+    for label, points in (("vehicle.start", study.vehicle.start), ("section", study.section)):
+        if any(len(point) != 2 for point in points):
+            raise ConfigurationError(f"{label} must be [[x, y], ...] in metres, got {points}")
+    for kind in KINDS:
+        registry().create(kind, getattr(study, kind))
+    _models(study)
+    registry().create("filter", study.filter).require_members(study.members)
+    return study
+
+
+def _models(study: Study) -> tuple[Model, Model, Model | None]:
+    """Make the model, the truth and the free run."""
+
+    def make(role: str, changes: Mapping[str, Any]) -> Model:
+        try:
+            model: Model = registry().create("model", _variant(study.model, changes))
+        except ConfigurationError as error:
+            raise type(error)(f"{role}: {error}" if changes else str(error)) from error
+        return model
+
+    return make("model", {}), make("truth", study.truth), None if study.free is None else make("free", study.free)
+
+
+def assemble(study: Study) -> tuple[Parts, Vehicle]:
+    """Build the parts of a cycle and place the vehicles; raises a DafwError that names the plugin."""
+    model, truth, free = _models(study)
+    for label, other in (("truth", truth), ("free run", free)):
+        if other is not None and (other.space.size, other.dt) != (model.space.size, model.dt):
+            raise ConfigurationError(
+                f"the {label} has {other.space.size} numbers and dt = {other.dt:g} s, "
+                f"the model {model.space.size} and {model.dt:g} s: they must agree"
+            )
+    observer: Observer = registry().create("observer", study.observer)
+    policy: Policy = registry().create("policy", study.policy)
+    filter_: Filter = registry().create("filter", study.filter)
+    parts = Parts(model, truth, free, observer, policy, filter_, Streams(study.seed))
+    positions = np.array(study.vehicle.start, dtype=np.float64).reshape(-1, 2)
+    for number, position in enumerate(positions):
+        if model.domain is not None and not model.domain.is_free(position, position):
+            raise ConfigurationError(
+                f"vehicle {number} cannot start at {position.tolist()}: that is inside a building or outside the "
+                f"domain {[round(bound, 1) for bound in model.domain.bounds]}"
+            )
+    return parts, Vehicle(positions, study.vehicle.speed, model.dt, model.domain)

@@ -1,0 +1,31 @@
+"""Opening what a run left behind."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from dafw.core.errors import RunError
+
+if TYPE_CHECKING:
+    import xarray
+
+
+def open_run(path: str | Path) -> xarray.Dataset:
+    """Open a run's folder, or its ``run.nc``, as a lazy Dataset; also while it is being written.
+
+    Raises RunError where there is no run or the file cannot be read.
+    """
+    import xarray
+
+    file = Path(path) / "run.nc" if Path(path).is_dir() else Path(path)
+    if not file.is_file():
+        raise RunError(f"{path}: holds no run (expected a run's folder or its run.nc)")
+    # A reader must not be refused because a run holds the lock.
+    os.environ.setdefault("HDF5_USE_FILE_LOCKING", "FALSE")
+    try:
+        # Times and phases stay the plain seconds that they are.
+        return xarray.open_dataset(file, engine="netcdf4", decode_times=False)
+    except (OSError, ValueError) as error:
+        raise RunError(f"{file}: cannot be read as netCDF ({' '.join(str(error).split())})") from error

@@ -1,0 +1,100 @@
+"""What a run's dataset holds, in the terms of the pictures: state variables, mesh, buildings, landmarks, units."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.tri import Triangulation
+
+from dafw.core.errors import RunError
+
+if TYPE_CHECKING:
+    from xarray import Dataset
+
+
+def require(run: Dataset, purpose: str, *names: str) -> None:
+    """Raise RunError where variables that ``purpose`` needs are missing."""
+    missing = [name for name in names if name not in run.variables]
+    if missing:
+        raise RunError(f"{purpose} needs {', '.join(missing)}, which this run does not hold")
+
+
+def scored_variable(run: Dataset) -> str:
+    """Return the name of the state variable that ERR measures, checked to be recorded; else raise RunError."""
+    name = run.attrs.get("scored_variable")
+    if name is None:
+        raise RunError("not a run of dafw: the global attribute 'scored_variable' is missing")
+    require(run, "a picture of a run", "time", "err", "err_free", f"{name}_truth", f"{name}_free", f"{name}_mean")
+    return str(name)
+
+
+def scalar_variables(run: Dataset) -> list[str]:
+    """Return the state variables of one number each (estimated parameters, the wind), in the order of the file."""
+    names = [str(name).removesuffix("_truth") for name, a in run.data_vars.items() if a.dims == ("time",)]
+    return [name for name in names if f"{name}_truth" in run and f"{name}_mean" in run]
+
+
+def has_map(run: Dataset) -> bool:
+    """Say whether the scored variable is a field on a triangle mesh."""
+    return (
+        "mesh2d_face_nodes" in run and "node_x" in run.variables and "node" in run[f"{scored_variable(run)}_mean"].dims
+    )
+
+
+def has_free_run(run: Dataset) -> bool:
+    """Say whether a free run was computed beside the belief; where not, its variables hold NaN."""
+    return bool(np.isfinite(run["err_free"].values).any())
+
+
+def has_section(run: Dataset) -> bool:
+    """Say whether there is a polyline to draw along, and more than one time to draw."""
+    return has_map(run) and "section_x" in run.variables and run.sizes["time"] > 1
+
+
+def triangulation(run: Dataset) -> Triangulation:
+    """Return the mesh in metres."""
+    require(run, "a map", "node_x", "node_y", "mesh2d_face_nodes")
+    faces = run["mesh2d_face_nodes"].values.astype(int)
+    return Triangulation(run["node_x"].values, run["node_y"].values, faces)
+
+
+def buildings(run: Dataset) -> list[np.ndarray]:
+    """Return the outline of each building, (corners, 2) in metres; none is legal."""
+    if not run.sizes.get("obstacle"):
+        return []
+    ends = np.cumsum(run["obstacle_vertex_count"].values.astype(int))
+    return np.split(polyline(run, "obstacle"), ends[:-1])
+
+
+def polyline(run: Dataset, name: str) -> np.ndarray:
+    """Return the points ``<name>_x, <name>_y`` as (points, 2) in metres."""
+    return np.column_stack([run[f"{name}_x"].values, run[f"{name}_y"].values])
+
+
+def landmark(run: Dataset, name: str) -> np.ndarray | None:
+    """Return the position (2,) in metres of a landmark of the site, or None where the site has none of that name."""
+    if "landmark_name" not in run.variables:
+        return None
+    names = [n.decode() if isinstance(n, bytes) else str(n) for n in run["landmark_name"].values]
+    return polyline(run, "landmark")[names.index(name)] if name in names else None
+
+
+def is_angle(run: Dataset, variable: str) -> bool:
+    """Say whether a state variable is an angle in radians: averages and differences of it wrap."""
+    return run[f"{variable}_truth"].attrs.get("units") in ("rad", "radian", "radians")
+
+
+def time_units(run: Dataset) -> str:
+    """Return the unit of time, seconds where the file does not say."""
+    return str(run["time"].attrs.get("units", "s"))
+
+
+def label(run: Dataset, variable: str, units: str | None = None) -> str:
+    """Return the axis label of a state variable: ``wind speed (m s⁻¹)``; no brackets where it has no dimension."""
+    units = str(run[f"{variable}_truth"].attrs.get("units", "")) if units is None else units
+    spoken = variable.replace("_", " ")
+    if units in ("", "1"):
+        return spoken
+    return f"{spoken} ({re.sub(r'(?<=[A-Za-z])(-?[0-9]+)', r'$^{\1}$', units)})"

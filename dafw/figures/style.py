@@ -1,0 +1,111 @@
+"""Colours and scales that every picture shares: safe for colour-blind readers, light where there is nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import Colormap, LinearSegmentedColormap, Normalize
+from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.patheffects import Normal, Stroke
+
+RUN_COLOURS = ("#D55E00", "#009E73", "#0072B2", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+"""Red, green and blue first, as in the paper; Okabe and Ito's palette, doi:10.1038/nmeth.1618."""
+
+TRUTH_COLOUR, FREE_COLOUR, BELIEF_COLOUR, SECTION_COLOUR = "black", "#7A7A7A", "#0072B2", "#0050D0"
+BUILDING_FACE, BUILDING_EDGE = "#C9CCD1", "#30343A"
+RESOLUTION = 130
+"""Dots per inch."""
+
+HALO = [Stroke(linewidth=3.5, foreground="white"), Normal()]
+"""A white rim that keeps a thin line readable on any background."""
+
+_MAGMA = matplotlib.colormaps["magma_r"]
+CONCENTRATION = LinearSegmentedColormap.from_list(
+    "concentration", np.vstack([np.ones(4), _MAGMA(np.linspace(0.06, 0.92, 12))])
+)
+
+
+def new_figure(width: float, height: float, *, maps: bool = False) -> Figure:
+    """Return an empty figure, in inches, that keeps labels apart; ``maps`` packs axes of fixed aspect tightly."""
+    return Figure(figsize=(width, height), layout=ConstrainedLayoutEngine(wspace=0.05, compress=maps))
+
+
+def run_style(index: int, runs: int) -> dict[str, Any]:
+    """Return the line colour and style of one of several runs; a run alone is the belief's blue."""
+    if runs == 1:
+        return {"color": BELIEF_COLOUR, "linestyle": "-"}
+    # Dashes are the free run's; past the last colour the line style tells runs apart.
+    return {
+        "color": RUN_COLOURS[index % len(RUN_COLOURS)],
+        "linestyle": ("-", ":", "-.")[index // len(RUN_COLOURS) % 3],
+    }
+
+
+def outside_legend(figure: Figure, handles: Sequence[Artist], where: str) -> None:
+    """Put the legend outside the axes, ``upper`` or ``lower``, in as many columns as its longest entry allows."""
+    longest = max(len(str(handle.get_label())) for handle in handles)
+    columns = max(1, min(6, round(14 * figure.get_figwidth()) // (longest + 5)))
+    figure.legend(handles=handles, loc=f"outside {where} center", ncols=columns, frameon=False)
+
+
+@dataclass(frozen=True)
+class ColourScale:
+    """One scale for all panels of a picture; ``extend`` as matplotlib's colour bar takes it."""
+
+    colours: Colormap
+    norm: Normalize
+    extend: str
+
+    @property
+    def keywords(self) -> dict[str, Any]:
+        """Return what matplotlib's colouring functions take."""
+        return {"cmap": self.colours, "norm": self.norm}
+
+
+def colour_scale(truth: np.ndarray, upper: float, *shown: np.ndarray) -> ColourScale:
+    """Choose a scale for the arrays ``shown`` from what the ``truth`` is like.
+
+    A concentration runs from zero (white) to ``upper``; undershoots of a transport scheme do not change that. A field
+    that is as much below zero as above it runs from its least to its largest true value.
+    """
+    least, most = float(np.nanmin(truth)), float(np.nanmax(truth))
+    if least < -0.25 * abs(most):
+        colours, bottom, top = matplotlib.colormaps["viridis"], least, most
+    else:
+        colours, bottom, top = CONCENTRATION, 0.0, upper if upper > 0.0 else 1.0
+    finite = [values for values in shown if np.isfinite(values).any()]
+    above = any(np.nanmax(values) > top for values in finite)
+    below = bottom < 0.0 and any(np.nanmin(values) < bottom for values in finite)
+    extend = {(False, False): "neither", (True, False): "max", (False, True): "min", (True, True): "both"}[above, below]
+    return ColourScale(colours, Normalize(bottom, top), extend)
+
+
+def peak_at_end(truth: np.ndarray) -> float:
+    """Return the truth's maximum at the last time, (time, node): what is left of a decaying peak stays visible.
+
+    A cloud that has all but left the domain is not blown up: never below a twentieth of the whole run's maximum.
+    """
+    return max(float(np.nanmax(truth[-1])), 0.05 * float(np.nanmax(truth)))
+
+
+def draw_buildings(axes: Axes, outlines: list[np.ndarray]) -> None:
+    """Draw buildings above the field and below routes."""
+    axes.add_collection(
+        PolyCollection(outlines, facecolor=BUILDING_FACE, edgecolor=BUILDING_EDGE, linewidth=0.7, zorder=2),
+        autolim=False,
+    )
+
+
+def map_axes(axes: Axes, x: np.ndarray, y: np.ndarray) -> None:
+    """Give a map one metre the same length in both directions, and no empty border."""
+    axes.set_aspect("equal")
+    axes.set_xlim(x.min(), x.max())
+    axes.set_ylim(y.min(), y.max())

@@ -1,0 +1,25 @@
+"""No assimilation: the analysis is the forecast. What an ensemble does when left alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dafw.core.ensemble import Analysis, Ensemble
+from dafw.core.interfaces import Filter
+from dafw.core.observation import Observation
+from dafw.core.space import Array
+
+
+@dataclass
+class NoFilter(Filter):
+    """Leaves the belief as the model made it; works with a single member."""
+
+    smallest_ensemble = 1
+
+    def analyse(
+        self, forecast: Ensemble, predicted: Array, observation: Observation, rng: np.random.Generator
+    ) -> Analysis:
+        """Return the forecast's members, brought into the state's set as any filter's are."""
+        return Analysis(forecast.space.retract(forecast.members, np.zeros(forecast.space.size)))

@@ -1,0 +1,177 @@
+"""Footprints made fit for a mesh: rings repaired, neighbours merged, what is too narrow or too little closed or removed.
+
+All overlays are done on a grid of 1 mm, so that shared walls stay shared. Offsets have mitred corners: what is moved
+out and in again comes back with its corners sharp and its walls where they were.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import shapely
+
+if TYPE_CHECKING:
+    from shapely import Polygon
+
+GRID = 1e-3
+"""m; the finest distance that overlays tell apart."""
+
+NOTICEABLE = 0.01
+"""m^2; a footprint or an overlap of less is none."""
+
+THINNEST, SHORTEST = 1 / 4, 1 / 8
+"""Of the narrowest gap: thinner parts of a building and shorter sides are removed."""
+
+
+@dataclass(frozen=True)
+class Footprint:
+    """A polygon in metres, with the name and the kind of the building."""
+
+    polygon: Polygon
+    name: str
+    kind: str
+
+
+def repair(rings: list[np.ndarray], report: dict[str, int]) -> list[Polygon]:
+    """Return the valid, hole-free polygons that a shell and its holes, each (k, 2), describe."""
+    usable = [ring for ring in rings if len(np.unique(ring, axis=0)) >= 3]
+    report["degenerate"] += len(rings) - len(usable)
+    if not usable or usable[0] is not rings[0]:
+        return []
+    polygon = shapely.Polygon(usable[0])
+    report["holes_filled"] += len(usable) - 1
+    if polygon.is_valid:
+        return [polygon] if polygon.area > NOTICEABLE else _nothing(report)
+    solid = shapely.make_valid(polygon, method="structure", keep_collapsed=False)
+    parts = [shapely.Polygon(part.exterior) for part in _polygons(solid) if part.area > NOTICEABLE]
+    report["repaired"] += bool(parts)
+    return parts or _nothing(report)
+
+
+def _nothing(report: dict[str, int]) -> list[Polygon]:
+    report["degenerate"] += 1
+    return []
+
+
+def arrange(
+    footprints: list[Footprint], room: Polygon, rim: float, gap: float, report: dict[str, int]
+) -> list[Footprint]:
+    """Return the buildings that stand in ``room``, disjoint and at least about ``gap`` m from one another.
+
+    ``room`` is the rectangle that buildings may stand in; ``rim`` is how far the free strip around it reaches. The
+    counts of ``report`` say what was done.
+    """
+    inside = _clip(footprints, room, report)
+    solid = shapely.union_all([footprint.polygon for footprint in inside], grid_size=GRID)
+    thick = _opened(solid, THINNEST * gap)
+    report["slivers_removed"] = _pieces(solid, thick)
+    limits = room.buffer(rim, join_style="mitre")
+    closed = _closed(_bridged(_polygons(thick), gap), limits, gap)
+    report["gaps_closed"] = _pieces(closed, thick)
+
+    buildings = [_labelled(polygon, inside) for polygon in _polygons(closed)]
+    report["merged"] = sum(len(sources) - 1 for _, sources in buildings)
+    large = [(polygon, sources) for polygon, sources in buildings if polygon.area >= gap**2]
+    report["little_removed"] = len(buildings) - len(large)
+    kept = []
+    for polygon, sources in sorted(large, key=lambda building: building[1]):
+        simple, removed = _without_short_sides(polygon, SHORTEST * gap)
+        report["corners_removed"] += removed
+        kept.append(
+            Footprint(
+                polygon=shapely.normalize(simple),
+                name=" + ".join(dict.fromkeys(inside[source].name for source in sources)),
+                kind=" + ".join(dict.fromkeys(inside[source].kind for source in sources)),
+            )
+        )
+    report["buildings"] = len(kept)
+    return kept
+
+
+def _clip(footprints: list[Footprint], room: Polygon, report: dict[str, int]) -> list[Footprint]:
+    """Cut back what reaches beyond ``room``: the wind blows on the whole of the outer boundary, and must balance."""
+    inside = []
+    for footprint in footprints:
+        cut = footprint.polygon.intersection(room)
+        if cut.area <= NOTICEABLE:
+            report["outside"] += 1
+        else:
+            report["clipped"] += not room.buffer(GRID).covers(footprint.polygon)
+            inside.append(replace(footprint, polygon=cut))
+    return inside
+
+
+def _opened(solid: Any, width: float) -> Any:
+    """Remove what is thinner than ``width`` m: morphological opening."""
+    core = _offset(solid, -width / 2)
+    return shapely.intersection(_offset(core, width / 2), solid, grid_size=GRID)
+
+
+def _bridged(parts: list[Polygon], gap: float) -> Any:
+    """Join parts closer than ``gap`` m where they are closest; corner to corner, closing alone would leave them apart."""
+    if not parts:
+        return shapely.MultiPolygon()
+    bridges = []
+    for first, second in shapely.STRtree(parts).query(parts, predicate="dwithin", distance=gap * (1 - 1e-9)).T:
+        if first < second:
+            line = shapely.shortest_line(parts[first], parts[second])
+            near = shapely.box(*line.centroid.buffer(gap).bounds)
+            ends = [shapely.convex_hull(near.intersection(parts[part])) for part in (first, second)]
+            bridges.append(shapely.convex_hull(shapely.union_all(ends)))
+    return shapely.union_all([*parts, *bridges], grid_size=GRID)
+
+
+def _closed(solid: Any, limits: Polygon, gap: float) -> Any:
+    """Fill every free place that a disc of diameter ``gap`` m cannot reach from the limits.
+
+    Gaps, mouths that are too narrow with the yards behind them, and yards without a mouth: morphological closing,
+    and reconstruction of the free space from its outermost part.
+    """
+    free = limits.difference(solid, grid_size=GRID)
+    reachable = _polygons(_offset(free, -gap / 2))
+    outermost = max(reachable, key=lambda part: shapely.Polygon(part.exterior).area)
+    wide = shapely.intersection(_offset(outermost, gap / 2), free, grid_size=GRID)
+    open_space = max(_polygons(wide), key=lambda part: shapely.Polygon(part.exterior).area)
+    return shapely.MultiPolygon([shapely.Polygon(hole) for hole in open_space.interiors])
+
+
+def _labelled(polygon: Polygon, sources: list[Footprint]) -> tuple[Polygon, list[int]]:
+    """Return the building with the numbers of the footprints that it is made of."""
+    overlap = shapely.area(shapely.intersection(polygon, [source.polygon for source in sources]))
+    return polygon, np.flatnonzero(overlap > NOTICEABLE).tolist()
+
+
+def _without_short_sides(polygon: Polygon, shortest: float) -> tuple[Polygon, int]:
+    """Take out, one by one, the less telling end of the shortest side (the one that spans the smaller triangle).
+
+    Returns the polygon and how many corners were taken out.
+    """
+    straight = polygon.simplify(2 * GRID)
+    corners = np.asarray(straight.exterior.coords)[:-1]
+    while len(corners) > 3:
+        sides = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
+        start = int(np.argmin(sides))
+        if sides[start] >= shortest:
+            break
+        ends = (start, (start + 1) % len(corners))
+        spans = [shapely.Polygon(corners[[end - 1, end, (end + 1) % len(corners)]]).area for end in ends]
+        corners = np.delete(corners, ends[int(np.argmin(spans))], axis=0)
+    simple = shapely.Polygon(corners)
+    if not (simple.is_valid and simple.area > NOTICEABLE):
+        return straight, 0
+    return simple, len(straight.exterior.coords) - len(simple.exterior.coords)
+
+
+def _offset(geometry: Any, distance: float) -> Any:
+    return shapely.buffer(geometry, distance, join_style="mitre", mitre_limit=10.0)
+
+
+def _polygons(geometry: Any) -> list[Polygon]:
+    return [part for part in shapely.get_parts(geometry) if part.geom_type == "Polygon" and not part.is_empty]
+
+
+def _pieces(larger: Any, smaller: Any) -> int:
+    """Count the pieces of a difference, leaving out what rounding to the grid makes."""
+    return len(_polygons(_offset(shapely.difference(larger, smaller, grid_size=GRID), -2 * GRID)))

@@ -1,0 +1,146 @@
+"""Model ``ad``: a gas carried and spread by a wind that is the same everywhere.
+
+State: the concentration at the nodes of the mesh (a share of the released maximum), the wind speed (m/s), the wind
+direction (radians, the angle TOWARDS which the air moves, counter-clockwise from east). Algorithm 1 of Gioia et al.
+(2024), doi:10.1109/SDF63218.2024.10773899, gives the order of a step: noise on the concentration, spurious values cut
+off, then transport. The wind does not evolve; only the assimilation changes it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dafw.core.domain import Domain
+from dafw.core.ensemble import Diagnostics, Memory, Step
+from dafw.core.errors import ConfigurationError
+from dafw.core.interfaces import Model
+from dafw.core.options import option
+from dafw.core.rng import MemberStreams
+from dafw.core.space import ANGLE, NONNEGATIVE, Array, StateSpace, Variable
+from dafw.plugins.models.dispersion.first_guess import draw_direction, draw_speed
+from dafw.plugins.models.dispersion.mesh import MeshOptions, TaggedMesh, generate, load, topology
+from dafw.plugins.models.dispersion.site import Site, SiteOptions, load_site
+from dafw.plugins.models.dispersion.transport import Transport, TransportOptions, TransportSystem
+
+
+@lru_cache(maxsize=4)
+def _loaded(path: Path) -> TaggedMesh:
+    """The truth, the free run and the belief share one mesh."""
+    return load(path)
+
+
+@dataclass
+class AdvectionDiffusion(Model):
+    """Gas dispersion in a given uniform wind; buildings let it through but hold no gas."""
+
+    site: SiteOptions = option(SiteOptions, "where")
+    mesh: MeshOptions = option(MeshOptions, "the triangles")
+    transport: TransportOptions = option(TransportOptions, "how the gas is carried")
+    dt: float = option(1.0, "time step in seconds", above=0.0)
+    release: list[float] = option([0.0, 0.0], "place of the release, [x, y] in metres")
+    release_radius: float = option(30.0, "standard deviation of the released bell in metres", above=0.0)
+    wind_speed: float = option(5.0, "first guess of the wind speed: mean, m/s", minimum=0.0)
+    wind_speed_sd: float = option(0.0, "first guess of the wind speed: standard deviation, m/s (Weibull)", minimum=0.0)
+    wind_direction: float = option(np.pi, "first guess of the wind direction: mean, radians, towards where it blows")
+    wind_direction_sd: float = option(
+        0.0, "first guess of the wind direction: standard deviation, radians", minimum=0.0
+    )
+    noise: float = option(0.0, "standard deviation of the noise before a step, as a share of the value", minimum=0.0)
+    cutoff: float = option(1e-6, "concentrations up to this are set to zero before a step, where there is noise")
+
+    _systems: dict[int, tuple[Array, TransportSystem]] = field(default_factory=dict, init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        if len(self.release) != 2:
+            raise ConfigurationError(f"the release must be one place [x, y] in metres, got {self.release}")
+
+    @cached_property
+    def place(self) -> Site:
+        """The site; raises SiteError."""
+        return load_site(self.site)
+
+    @cached_property
+    def tagged_mesh(self) -> TaggedMesh:
+        """The mesh of the site, from the cache where it was made before."""
+        return _loaded(generate(self.place, self.mesh))
+
+    @cached_property
+    def _topology(self) -> tuple[Array, Any]:
+        return topology(self.tagged_mesh)
+
+    @cached_property
+    def space(self) -> StateSpace:  # type: ignore[override]  # made when first asked for
+        """Concentration, wind speed, wind direction."""
+        nodes = self._topology[0]
+        return StateSpace(
+            [
+                Variable("concentration", len(nodes), NONNEGATIVE, "1", nodes),
+                Variable("wind_speed", 1, NONNEGATIVE, "m s-1"),
+                Variable("wind_direction", 1, ANGLE, "rad"),
+            ]
+        )
+
+    @cached_property
+    def domain(self) -> Domain:  # type: ignore[override]  # made when first asked for
+        """The rectangle, the buildings and the triangles."""
+        site = self.place
+        rings = tuple(np.asarray(building.exterior.coords)[:-1] for building in site.buildings)
+        x, y = self.release
+        domain = Domain(site.bounds, rings, site.names, self._topology[1], {"release": (x, y)})
+        place = np.array(self.release)
+        if not domain.is_free(place, place):
+            raise ConfigurationError(f"{self.label}: the release {self.release} lies in a building or outside the site")
+        return domain
+
+    @cached_property
+    def _transport(self) -> Transport:
+        return Transport(self.tagged_mesh, self.transport, self.dt)
+
+    def initial(self, n_members: int, rng: MemberStreams) -> Array:
+        """Return the released bell, the same in all members, with winds drawn from the first guess."""
+        nodes = self._topology[0]
+        bell = np.exp(-((nodes - self.release) ** 2).sum(axis=1) / (2.0 * self.release_radius**2))
+
+        def one(generator: np.random.Generator) -> Array:
+            speed = draw_speed(self.wind_speed, self.wind_speed_sd, generator)
+            direction = draw_direction(self.wind_direction, self.wind_direction_sd, generator)
+            return self.space.pack({"concentration": bell, "wind_speed": speed, "wind_direction": direction})
+
+        return rng.draw(n_members, one)
+
+    def step_with_memory(self, members: Array, memory: Memory | None, t: float, rng: MemberStreams) -> Step:
+        """Return the members a step later: noise, cut-off, wind, transport."""
+        stepped = members.copy()
+        state = self.space.unpack(stepped)
+        concentration = state["concentration"]
+        if self.noise > 0.0:
+            concentration += self.noise * concentration * rng.standard_normal(concentration.shape)
+            concentration[concentration <= self.cutoff] = 0.0
+        winds, memory, diagnostics = self.winds(state["wind_speed"][:, 0], state["wind_direction"][:, 0], memory, t)
+        for member, wind in enumerate(winds):
+            concentration[member] = self._system(member, wind).step(concentration[member])
+        # Galerkin's undershoots are no gas; the state's own set decides.
+        return Step(stepped, memory, diagnostics)
+
+    def winds(
+        self, speed: Array, direction: Array, memory: Memory | None, t: float
+    ) -> tuple[Array, Memory | None, Diagnostics]:
+        """Return what defines each member's wind (N, k), and the memory and diagnostics of finding it."""
+        return np.stack([speed, direction], axis=1), None, {}
+
+    def velocity(self, wind: Array) -> Any:
+        """Return the wind that ``winds`` defined for one member (k,) as a DOLFINx function in m/s."""
+        speed, direction = wind
+        return self._transport.uniform_velocity(speed, direction)
+
+    def _system(self, member: int, wind: Array) -> TransportSystem:
+        """Return the member's matrix: kept while its wind stays the same to the last bit."""
+        kept = self._systems.get(member)
+        if kept is None or not np.array_equal(kept[0], wind):
+            self._systems[member] = kept = (wind.copy(), self._transport.system(self.velocity(wind)))
+        return kept[1]

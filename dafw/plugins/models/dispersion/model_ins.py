@@ -1,0 +1,97 @@
+"""Model ``ad_ins``: a gas carried by a steady wind that flows around the buildings.
+
+A member's wind is solved for anew only where its parameters have left the ones of its last solve (marked INS) by more
+than the thresholds of Algorithm 1, Gioia et al. (2024), doi:10.1109/SDF63218.2024.10773899::
+
+    |I - I_INS| >= tr_I |I|   or   |d - d_INS| >= tr_d |d|         differences of directions wrapped to [-pi, pi)
+
+Between solves the wind of the last one carries the gas. What a solve starts from, the member's last wind, is the
+memory of the run, so that nothing depends on what else ran in the process.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from dafw.core.ensemble import Diagnostic, Diagnostics, Memory
+from dafw.core.errors import SolverError
+from dafw.core.options import option
+from dafw.core.space import Array
+from dafw.plugins.models.dispersion.model import AdvectionDiffusion
+from dafw.plugins.models.dispersion.wind import WindOptions, WindSolver
+
+
+@dataclass
+class AdvectionDiffusionINS(AdvectionDiffusion):
+    """Gas dispersion in a steady Navier-Stokes wind around buildings."""
+
+    wind: WindOptions = option(WindOptions, "how the wind is solved for")
+    speed_threshold: float = option(
+        0.10, "tr_I: relative change of speed from which on a wind is solved anew", minimum=0
+    )
+    direction_threshold: float = option(0.05, "tr_d: relative change of direction, likewise", minimum=0)
+    on_unsolved: str = option(
+        "stop", "a wind that cannot be solved: stop, or keep the member's last good one", choices=("stop", "keep")
+    )
+
+    @cached_property
+    def solver(self) -> WindSolver:
+        """The wind solver on this mesh."""
+        return WindSolver(self.tagged_mesh, self.wind)
+
+    def initial_memory(self, members: Array) -> Memory:
+        """Return the memory of members (N, n) for which no wind was solved yet: NaN."""
+        n_members = len(members)
+        never = np.full(n_members, np.nan)
+        return {"unit": np.zeros((n_members, self.solver.unknowns)), "speed": never, "direction": never}
+
+    def due(self, speed: Array, direction: Array, memory: Memory) -> np.ndarray:
+        """Say for which members (N,) the thresholds ask for a new wind."""
+        turned = np.abs(np.mod(direction - memory["direction"] + np.pi, 2.0 * np.pi) - np.pi)
+        changed = np.abs(speed - memory["speed"])
+        within = (changed < self.speed_threshold * np.abs(speed)) & (
+            turned < self.direction_threshold * np.abs(direction)
+        )
+        return ~within
+
+    def winds(
+        self, speed: Array, direction: Array, memory: Memory | None, t: float
+    ) -> tuple[Array, Memory | None, Diagnostics]:
+        """Solve the winds that are due; raises SolverError with time and member where one cannot be and must be."""
+        if memory is None:
+            raise SolverError(f"{self.label}: a step needs the memory that initial_memory or the last step gave")
+        memory = {name: array.copy() for name, array in memory.items()}
+        solved = self.due(speed, direction, memory)
+        kept = np.zeros(len(speed), dtype=bool)
+        iterations = np.zeros(len(speed), dtype=np.int64)
+        for member in np.flatnonzero(solved):
+            first = np.isnan(memory["speed"][member])
+            start = None if first else memory["unit"][member]
+            try:
+                wind = self.solver.solve(speed[member], direction[member], start)
+            except SolverError as error:
+                if self.on_unsolved == "stop" or first:
+                    raise type(error)(f"member {member}: {error}") from error
+                kept[member], solved[member] = True, False
+                continue
+            iterations[member] = wind.iterations
+            memory["unit"][member] = wind.unit
+            memory["speed"][member], memory["direction"][member] = speed[member], direction[member]
+        diagnostics = {
+            "wind_solved": Diagnostic(solved, ("member",), long_name="the wind was solved anew in this cycle"),
+            "wind_kept": Diagnostic(kept, ("member",), long_name="the wind could not be solved, the last one was kept"),
+            "wind_iterations": Diagnostic(iterations, ("member",), long_name="factorisations of the wind's solve"),
+            "wind_speed": Diagnostic(memory["speed"], ("member",), "m s-1", "speed of the wind that carried the gas"),
+            "wind_direction": Diagnostic(
+                memory["direction"], ("member",), "rad", "angle of the wind that carried the gas"
+            ),
+        }
+        return np.column_stack([memory["unit"], memory["speed"]]), memory, diagnostics
+
+    def velocity(self, wind: Array) -> Any:
+        """Return the solved wind of one member as a DOLFINx function in m/s."""
+        return self.solver.velocity(wind[:-1], wind[-1])

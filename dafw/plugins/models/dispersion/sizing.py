@@ -1,0 +1,108 @@
+"""How long the sides of the triangles of a site's mesh are, from place to place.
+
+Every point of the walls asks for a size of its own: the wall size, or less where a side of the building is shorter
+or a passage narrower than that. From there the size grows linearly, up to the far size; the smallest demand counts.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+import shapely
+
+if TYPE_CHECKING:
+    from dafw.plugins.models.dispersion.mesh import MeshOptions
+    from dafw.plugins.models.dispersion.site import Site
+
+SMALLEST = 1 / 4
+"""Of the wall size: narrow passages get no smaller triangles than that."""
+
+STEEPEST = 0.3
+"""m of size per m of distance, away from what is smaller than the wall size; steeper makes bad triangles."""
+
+
+def size_function(site: Site, options: MeshOptions) -> Callable[[int, int, float, float, float, float], float]:
+    """Return gmsh's size callback: (dimension, tag, x, y, z, size otherwise) -> size in m."""
+    points, sizes = demands(site, options)
+    growth = np.where(sizes < options.wall_size, max(_growth(options), STEEPEST), _growth(options))
+    x_demand, y_demand = points.T.copy()
+    far = options.far_size
+
+    def size(dimension: int, tag: int, x: float, y: float, z: float, otherwise: float) -> float:
+        return min(far, float(np.min(sizes + growth * np.hypot(x_demand - x, y_demand - y), initial=far)))
+
+    return size
+
+
+def demands(site: Site, options: MeshOptions) -> tuple[np.ndarray, np.ndarray]:
+    """Return points (k, 2) on the walls, and the size (k,) in m that each asks for."""
+    points, outward, sizes = [np.empty((0, 2))], [np.empty((0, 2))], [np.empty(0)]
+    for building in site.buildings:
+        ring = np.asarray(shapely.orient_polygons(building, exterior_cw=False).exterior.coords)
+        for start, end in zip(ring[:-1], ring[1:], strict=True):
+            length = math.dist(start, end)
+            pieces = math.ceil(2 * length / options.wall_size)
+            along = (np.arange(pieces) + 0.5)[:, None] / pieces
+            points.append(start + along * (end - start))
+            outward.append(np.broadcast_to([end[1] - start[1], start[0] - end[0]] / np.float64(length), (pieces, 2)))
+            sizes.append(np.full(pieces, min(options.wall_size, length)))
+    walls, normals, wanted = np.concatenate(points), np.concatenate(outward), np.concatenate(sizes)
+    facing = _room_in_front(walls, normals, options.across * options.wall_size, site)
+    corners, apart = _between_buildings(site, options.across * options.wall_size)
+    smallest = SMALLEST * options.wall_size
+    wanted = np.minimum(wanted, np.maximum(facing / options.across, smallest))
+    return np.concatenate([walls, corners]), np.concatenate([wanted, np.maximum(apart / options.across, smallest)])
+
+
+def _room_in_front(points: np.ndarray, outward: np.ndarray, reach: float, site: Site) -> np.ndarray:
+    """Return how far (k,) it is, in m, from points on walls straight outwards to the next wall; inf beyond reach."""
+    if not len(points):
+        return np.empty(0)
+    boundary = site.domain.boundary
+    shapely.prepare(boundary)
+    starts = points + 1e-6 * reach * outward
+    rays = shapely.linestrings(np.stack([starts, points + reach * outward], axis=1))
+    distance = shapely.distance(shapely.points(starts), shapely.intersection(rays, boundary))
+    return np.where(np.isnan(distance), np.inf, distance)
+
+
+def _between_buildings(site: Site, reach: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return where (k, 2) buildings are closest to one another, and how far apart (k,), in m, within reach."""
+    buildings = np.asarray(site.buildings, dtype=object)
+    if not len(buildings):
+        return np.empty((0, 2)), np.empty(0)
+    first, second = shapely.STRtree(buildings).query(buildings, predicate="dwithin", distance=reach)
+    lines = shapely.shortest_line(buildings[first[first < second]], buildings[second[first < second]])
+    ends = shapely.get_coordinates(lines).reshape(-1, 2)
+    return ends, np.repeat(shapely.length(lines), 2)
+
+
+def expected_nodes(site: Site, options: MeshOptions) -> float:
+    """Estimate the number of nodes: equilateral triangles, two a node, in the far field and along the walls."""
+    walls = sum(building.length for building in site.buildings)
+    growth = _growth(options)
+    depth = math.sqrt(site.domain.area)
+    near = 0.0 if growth <= 0 else walls * (1 / options.wall_size - 1 / (options.wall_size + growth * depth)) / growth
+    return (site.domain.area / options.far_size**2 + near) * 2 / math.sqrt(3)
+
+
+def _growth(options: MeshOptions) -> float:
+    return (options.far_size - options.wall_size) / options.transition
+
+
+def check(site: Site, options: MeshOptions) -> None:
+    """Raise MeshError where options make no sense or ask for too many nodes."""
+    from dafw.plugins.models.dispersion.mesh import MeshError
+
+    for name in ("wall_size", "far_size", "transition", "across"):
+        value = getattr(options, name)
+        if not (math.isfinite(value) and value > 0):
+            raise MeshError(f"mesh: expected {name} above 0, got {value}")
+    if options.far_size < options.wall_size:
+        raise MeshError(f"mesh: expected a far_size of at least wall_size {options.wall_size}, got {options.far_size}")
+    nodes = expected_nodes(site, options)
+    if nodes > options.max_nodes:
+        raise MeshError(f"mesh: about {nodes:.2g} nodes would be needed, expected at most {options.max_nodes}")

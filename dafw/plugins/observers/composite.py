@@ -1,0 +1,34 @@
+"""Several observers at once: their readings stand one below the other, their errors are independent."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from dafw.core.ensemble import Route
+from dafw.core.errors import ConfigurationError
+from dafw.core.interfaces import Observer
+from dafw.core.observation import ObservationOperator, stack
+from dafw.core.options import option
+from dafw.core.registry import registry
+from dafw.core.space import StateSpace
+
+
+@dataclass
+class Composite(Observer):
+    """A drone and stations, say."""
+
+    parts: dict[str, Any] = option({}, "the observers by a name of your own, each a mapping with its name and options")
+
+    def __post_init__(self) -> None:
+        if not self.parts:
+            raise ConfigurationError("observer 'composite': parts must name at least one observer")
+        self._observers: list[Observer] = []
+        for own_name, part in self.parts.items():
+            if not isinstance(part, dict):
+                raise ConfigurationError(f"observer 'composite': part '{own_name}' must be a mapping, got {part!r}")
+            self._observers.append(registry().create("observer", part))
+
+    def operator(self, space: StateSpace, route: Route, t: float) -> ObservationOperator:
+        """Return all parts' operators stacked, in the order of the configuration."""
+        return stack(tuple(observer.look(space, route, t) for observer in self._observers))

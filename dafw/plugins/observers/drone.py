@@ -1,0 +1,47 @@
+"""The drone: projects the way it flies onto the mesh and reads the nodes it passes.
+
+The leg is sampled at equal distances, its end included and its start (read a step ago) not; each sample reads the
+node nearest to it. Two samples a step give the one or two nodes a second of Gioia et al. (2024), Sec. III.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dafw.core.ensemble import Route
+from dafw.core.interfaces import Observer
+from dafw.core.observation import ObservationOperator
+from dafw.core.options import option
+from dafw.core.space import Array, StateSpace
+from dafw.plugins.observers.nodes import read_nodes
+
+
+def along(path: Array, n_samples: int) -> Array:
+    """Return ``n_samples`` points (n, 2) at equal distances along the polyline (k, 2), its end included, not its start.
+
+    A vehicle that hovers gives the one point where it is.
+    """
+    lengths = np.linalg.norm(np.diff(path, axis=0), axis=1)
+    if lengths.sum() == 0.0:
+        return path[:1]
+    travelled = np.concatenate([[0.0], np.cumsum(lengths)])
+    stations = np.arange(1, n_samples + 1) / n_samples * travelled[-1]
+    return np.stack([np.interp(stations, travelled, path[:, axis]) for axis in range(2)], axis=1)
+
+
+@dataclass
+class Drone(Observer):
+    """Reads a variable along the flown leg of every vehicle."""
+
+    samples: int = option(2, "samples a step along the flown leg; those nearest to the same node count once", minimum=1)
+    variable: str = option("concentration", "state variable that is read; it needs coordinates")
+    noise_sd: float = option(1e-3, "standard deviation of the readings' noise", above=0.0)
+    assumed_variance: float | None = option(None, "variance that the filter is told; null: noise_sd squared", above=0.0)
+
+    def operator(self, space: StateSpace, route: Route, t: float) -> ObservationOperator:
+        """Return the readings of all vehicles on this leg."""
+        points = [along(path, self.samples) for path in route.paths]
+        joined = np.concatenate(points) if points else np.empty((0, 2))
+        return read_nodes(space, self.variable, joined, self.noise_sd, self.assumed_variance)

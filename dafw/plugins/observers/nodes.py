@@ -1,0 +1,28 @@
+"""Readings at the nodes nearest to given points: what drones and stations have in common."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dafw.core.observation import Selection
+from dafw.core.space import Array, StateSpace
+
+
+def read_nodes(
+    space: StateSpace, variable: str, points: Array, noise_sd: float, assumed_variance: float | None
+) -> Selection:
+    """Return H in {0, 1} for the nodes nearest to ``points`` (k, 2), each node once, in the order of the points.
+
+    The noise drawn has the standard deviation ``noise_sd``; the filter is told ``assumed_variance``, or the noise's
+    own variance where that is None.
+    """
+    nodes = space[variable].nearest(points) if len(points) else np.empty(0, dtype=np.int64)
+    nodes = np.array(list(dict.fromkeys(nodes.tolist())), dtype=np.int64)
+    coordinates = space[variable].coordinates
+    variance = noise_sd**2 if assumed_variance is None else assumed_variance
+    return Selection(
+        indices=nodes + space.slice(variable).start,
+        covariance=np.full(len(nodes), variance),
+        noise_covariance=np.full(len(nodes), noise_sd**2),
+        coordinates=np.empty((0, 2)) if coordinates is None or not len(nodes) else coordinates[nodes],
+    )

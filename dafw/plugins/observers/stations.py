@@ -1,0 +1,37 @@
+"""Fixed stations: each reads the node nearest to it, now or every so many seconds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dafw.core.ensemble import Route
+from dafw.core.errors import ConfigurationError
+from dafw.core.interfaces import Observer
+from dafw.core.observation import ObservationOperator
+from dafw.core.options import option
+from dafw.core.space import StateSpace
+from dafw.plugins.observers.nodes import read_nodes
+
+
+@dataclass
+class Stations(Observer):
+    """Sensors on poles."""
+
+    positions: list[list[float]] = option([], "places of the stations, [[x, y], ...] in metres")
+    every: float = option(1.0, "seconds from one reading to the next, the first at the start", above=0.0)
+    variable: str = option("concentration", "state variable that is read; it needs coordinates")
+    noise_sd: float = option(1e-3, "standard deviation of the readings' noise", above=0.0)
+    assumed_variance: float | None = option(None, "variance that the filter is told; null: noise_sd squared", above=0.0)
+
+    def __post_init__(self) -> None:
+        if any(len(position) != 2 for position in self.positions):
+            raise ConfigurationError(f"observer 'stations': positions must be [[x, y], ...], got {self.positions}")
+
+    def operator(self, space: StateSpace, route: Route, t: float) -> ObservationOperator:
+        """Return the readings due in this step: all stations, or none."""
+        # A tenth of a millisecond forgives times that are sums of rounded steps.
+        due = (t + 1e-4) % self.every < 2e-4
+        points = np.array(self.positions, dtype=np.float64).reshape(-1, 2) if due else np.empty((0, 2))
+        return read_nodes(space, self.variable, points, self.noise_sd, self.assumed_variance)

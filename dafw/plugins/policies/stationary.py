@@ -1,0 +1,19 @@
+"""Every vehicle hovers where it is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dafw.core.ensemble import Ensemble, Route, Vehicle
+from dafw.core.interfaces import Policy
+
+
+@dataclass
+class Stationary(Policy):
+    """The policy of a study without vehicles, and the one to beat with them."""
+
+    def decide(self, belief: Ensemble, vehicle: Vehicle, rng: np.random.Generator) -> Route:
+        """Return the route on which nobody moves."""
+        return Route.hover(vehicle)

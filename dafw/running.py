@@ -1,0 +1,279 @@
+"""Running a study: cycles, record, log, progress, summary and pictures, in one folder."""
+
+from __future__ import annotations
+
+import json
+import logging
+import math
+import os
+import platform
+import signal
+import sys
+import threading
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from dafw.core.cycle import Cycle, Parts, State, advance, start
+from dafw.core.errors import ConfigurationError, DafwError, RunError
+from dafw.core.experiment import Study, assemble
+from dafw.core.record import Record
+
+log = logging.getLogger("dafw")
+VERSIONED = ("dafw", "numpy", "scipy", "dolfinx-solver-real", "gmsh", "netcdf4", "xarray", "hydra-core")
+LOG_SECONDS = 0.2
+
+
+class Interrupted(BaseException):
+    """The run was asked to stop (Ctrl-C or SIGTERM)."""
+
+
+def run_study(study: Study, folder: Path) -> dict[str, Any]:
+    """Run a study into ``folder`` and return its summary.
+
+    Whatever happens, the cycles that were finished stay in ``run.nc`` and ``summary.json`` says how it ended. Raises
+    RunError where the folder holds a run already, DafwError where a computation failed, Interrupted.
+    """
+    if (folder / "run.nc").exists():
+        raise RunError(f"{folder}: holds a run already; nothing was changed")
+    folder.mkdir(parents=True, exist_ok=True)
+    run = _Run(study, folder)
+    with _log_file(folder / "run.log"), _stop_signals():
+        try:
+            run.cycles()
+            run.finish("complete")
+        except DafwError as error:
+            run.finish("failed", str(error))
+            kept = f"; {run.done} of {study.cycles} cycles are kept in {folder}" if run.done else ""
+            raise type(error)(f"{error}{kept}") from error
+        except (Interrupted, KeyboardInterrupt):
+            run.finish("interrupted")
+            raise Interrupted(f"{run.done} of {study.cycles} cycles are kept in {folder}") from None
+        if study.pictures:
+            _draw(folder)
+    return run.summary
+
+
+class _Run:
+    """One run on its way: what is done, what was measured."""
+
+    def __init__(self, study: Study, folder: Path) -> None:
+        self.study, self.folder = study, folder
+        self.begun = perf_counter()
+        self.done = 0
+        self.seconds: dict[str, float] = {}
+        self.scores: dict[str, float] = {}
+        self.parameters: dict[str, dict[str, float]] = {}
+        self.record: Record | None = None
+        self.summary: dict[str, Any] = {}
+        # Until it says otherwise, a run that leaves no word was cut off.
+        self._write_summary("interrupted")
+
+    def cycles(self) -> None:
+        """Run all cycles."""
+        log.info("study '%s', seed %d, %d members", self.study.name, self.study.seed, self.study.members)
+        parts, vehicle = assemble(self.study)
+        state = start(parts, self.study.members, vehicle)
+        self.seconds["set-up"] = perf_counter() - self.begun
+        _log_domain(parts)
+        self.record = Record(
+            self.folder / "run.nc",
+            parts,
+            state,
+            whole=_kept_whole(self.study, parts),
+            section=np.array(self.study.section, dtype=np.float64).reshape(-1, 2),
+            attributes={
+                "title": f"dafw study {self.study.name}",
+                "name": self.study.name,
+                "seed": self.study.seed,
+                "dafw_version": version("dafw"),
+            },
+        )
+        logged = 0.0
+        with _progress(self.study.cycles) as bar:
+            for _ in range(self.study.cycles):
+                cycle = advance(parts, state)
+                recorded = perf_counter()
+                self.scores = self.record.append(cycle)
+                cycle.seconds["record"] = perf_counter() - recorded
+                for phase, seconds in cycle.seconds.items():
+                    self.seconds[phase] = self.seconds.get(phase, 0.0) + seconds
+                state, self.done = cycle.state, self.done + 1
+                for note in cycle.route.notes:
+                    log.warning("t = %g s: %s", state.belief.ensemble.time, note)
+                if perf_counter() - logged > LOG_SECONDS or self.done == self.study.cycles:
+                    logged = perf_counter()
+                    log.info("%s", _sentence(cycle, self.scores))
+                bar.set_postfix_str(_postfix(state, self.scores), refresh=False)
+                bar.update()
+        self.parameters = _parameters(parts, state)
+
+    def finish(self, status: str, error: str = "") -> None:
+        """Close the record and say how the run ended."""
+        if self.record is not None:
+            self.record.close()
+        self._write_summary(status, error)
+        log.info("%s after %d of %d cycles %s", status, self.done, self.study.cycles, error)
+
+    def _write_summary(self, status: str, error: str = "") -> None:
+        self.summary = {
+            "status": status,
+            "name": self.study.name,
+            "seed": self.study.seed,
+            "members": self.study.members,
+            "cycles": self.done,
+            "cycles_wanted": self.study.cycles,
+            "err_final": _finite(self.scores.get("err")),
+            "err_free_final": _finite(self.scores.get("err_free")),
+            "parameters_final": self.parameters,
+            "wall_seconds": round(perf_counter() - self.begun, 3),
+            "phase_seconds": {phase: round(seconds, 4) for phase, seconds in self.seconds.items()},
+            "versions": _versions(),
+        }
+        if error:
+            self.summary["error"] = error
+        write_whole(self.folder / "summary.json", json.dumps(self.summary, indent=2) + "\n")
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a file so that it is there whole or not at all."""
+    beside = path.with_name(path.name + ".part")
+    with beside.open("w", encoding="utf-8") as file:
+        file.write(text)
+        file.flush()
+        os.fsync(file.fileno())
+    beside.replace(path)
+
+
+def _finite(value: float | None) -> float | None:
+    return value if value is not None and math.isfinite(value) else None
+
+
+def _versions() -> dict[str, str]:
+    found = {"python": platform.python_version()}
+    for name in VERSIONED:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def _kept_whole(study: Study, parts: Parts) -> list[str]:
+    variables = parts.model.space.variables
+    if study.record.members == "all":
+        return [variable.name for variable in variables]
+    return [variable.name for variable in variables if variable.size == 1 and study.record.members == "parameters"]
+
+
+def _parameters(parts: Parts, state: State) -> dict[str, dict[str, float]]:
+    """Return truth, mean and spread of every state variable that is a single number."""
+    belief, truth = state.belief.ensemble, state.truth.ensemble.members[0]
+    listed = {}
+    for variable in parts.model.space.variables:
+        if variable.size == 1:
+            place = parts.model.space.slice(variable.name).start
+            listed[variable.name] = {
+                "truth": float(truth[place]),
+                "mean": float(belief.mean[place]),
+                "spread": float(np.nan_to_num(belief.spread[place])),
+            }
+    return listed
+
+
+def _sentence(cycle: Cycle, scores: Mapping[str, float]) -> str:
+    positions = ", ".join(f"({x:.1f}, {y:.1f})" for x, y in cycle.state.vehicle.positions)
+    return (
+        f"t = {cycle.state.belief.ensemble.time:g} s: ERR {scores['err']:.2f} %, free run {scores['err_free']:.2f} %, "
+        f"{cycle.observation.values.size} readings" + (f", at {positions}" if positions else "")
+    )
+
+
+def _postfix(state: State, scores: Mapping[str, float]) -> str:
+    positions = " ".join(f"({x:.0f}, {y:.0f})" for x, y in state.vehicle.positions[:2])
+    return f"ERR {scores['err']:.1f} % {positions}".strip()
+
+
+def _log_domain(parts: Parts) -> None:
+    log.info("state: %r", parts.model.space)
+    if parts.model.domain is not None:
+        log.info("domain: %s m, %d obstacles", parts.model.domain.bounds, len(parts.model.domain.obstacles))
+
+
+def _progress(total: int) -> Any:
+    from tqdm import tqdm
+
+    return tqdm(total=total, unit="cycle", disable=None, file=sys.stderr, dynamic_ncols=True)
+
+
+def _draw(folder: Path) -> None:
+    from dafw.core.runs import open_run
+    from dafw.figures import draw_all
+
+    with open_run(folder) as run:
+        for path in draw_all(run, folder / "figures"):
+            log.info("picture %s", path.name)
+
+
+@contextmanager
+def _log_file(path: Path) -> Iterator[None]:
+    """Write dafw's log into the run's folder, and warnings to standard error as well."""
+    handler = logging.FileHandler(path, encoding="utf-8")
+    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
+    previous = log.level
+    log.addHandler(handler)
+    log.setLevel(logging.INFO)
+    try:
+        yield
+    finally:
+        log.removeHandler(handler)
+        log.setLevel(previous)
+        handler.close()
+
+
+@contextmanager
+def _stop_signals() -> Iterator[None]:
+    """Let SIGTERM end a run as Ctrl-C does: with everything kept."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def stop(number: int, frame: Any) -> None:
+        raise Interrupted
+
+    previous = signal.signal(signal.SIGTERM, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, previous)
+
+
+def run(overrides: list[str] | None = None) -> Any:
+    """Compose, run and open a study: ``dafw.run(["filter=none", "cycles=20"])`` returns its xarray.Dataset.
+
+    The folder of the run is the dataset's attribute ``folder``. Raises ConfigurationError for a wrong request and
+    other DafwErrors where a computation fails.
+    """
+    from omegaconf import OmegaConf
+
+    from dafw.core.composition import compose, study_part
+    from dafw.core.experiment import study_from
+    from dafw.core.runs import open_run
+
+    if isinstance(overrides, str):
+        raise ConfigurationError(f"overrides must be a list of strings, got the string {overrides!r}")
+    config = compose(overrides or [])
+    study = study_from(study_part(config))
+    folder = Path(config.hydra.run.dir).resolve()
+    run_study(study, folder)
+    (folder / ".hydra").mkdir(exist_ok=True)
+    write_whole(folder / ".hydra" / "config.yaml", OmegaConf.to_yaml(study_part(config)))
+    write_whole(folder / ".hydra" / "overrides.yaml", OmegaConf.to_yaml(overrides or []))
+    dataset = open_run(folder)
+    dataset.attrs["folder"] = str(folder)
+    return dataset
