@@ -1,1 +1,104 @@
-"""dafw: a laboratory for data-assimilation studies."""
+"""dafw: a laboratory for data-assimilation studies.
+
+Whatever a study or a plugin package needs is importable from here, and loaded when first asked for.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from dafw.core.domain import Domain
+    from dafw.core.ensemble import Analysis, Diagnostic, Ensemble, Route, Step, Vehicle
+    from dafw.core.errors import (
+        ComputationError,
+        ConfigurationError,
+        ContractError,
+        DafwError,
+        OptionError,
+        PluginError,
+        RequestError,
+        RunError,
+        SolverError,
+    )
+    from dafw.core.hookspecs import PluginSpec, hookimpl
+    from dafw.core.interfaces import Filter, Model, Observer, Policy
+    from dafw.core.observation import Observation, ObservationOperator, Selection
+    from dafw.core.options import option
+    from dafw.core.runs import open_run
+    from dafw.core.space import ANGLE, FIELD, NONNEGATIVE, StateSpace, Variable
+    from dafw.running import run
+
+_HOMES = {
+    "dafw.core.domain": ("Domain",),
+    "dafw.core.ensemble": ("Analysis", "Diagnostic", "Ensemble", "Route", "Step", "Vehicle"),
+    "dafw.core.errors": (
+        "ComputationError",
+        "ConfigurationError",
+        "ContractError",
+        "DafwError",
+        "OptionError",
+        "PluginError",
+        "RequestError",
+        "RunError",
+        "SolverError",
+    ),
+    "dafw.core.hookspecs": ("PluginSpec", "hookimpl"),
+    "dafw.core.interfaces": ("Filter", "Model", "Observer", "Policy"),
+    "dafw.core.observation": ("Observation", "ObservationOperator", "Selection"),
+    "dafw.core.options": ("option",),
+    "dafw.core.runs": ("open_run",),
+    "dafw.core.space": ("ANGLE", "FIELD", "NONNEGATIVE", "StateSpace", "Variable"),
+    "dafw.running": ("run",),
+}
+_HOME = {name: module for module, names in _HOMES.items() for name in names}
+
+__all__ = [
+    "ANGLE",
+    "FIELD",
+    "NONNEGATIVE",
+    "Analysis",
+    "ComputationError",
+    "ConfigurationError",
+    "ContractError",
+    "DafwError",
+    "Diagnostic",
+    "Domain",
+    "Ensemble",
+    "Filter",
+    "Model",
+    "Observation",
+    "ObservationOperator",
+    "Observer",
+    "OptionError",
+    "PluginError",
+    "PluginSpec",
+    "Policy",
+    "RequestError",
+    "Route",
+    "RunError",
+    "Selection",
+    "SolverError",
+    "StateSpace",
+    "Step",
+    "Variable",
+    "Vehicle",
+    "hookimpl",
+    "open_run",
+    "option",
+    "run",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Load a public name from where it lives."""
+    if name not in _HOME:
+        raise AttributeError(f"module 'dafw' has no attribute '{name}'")
+    value = getattr(import_module(_HOME[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -37,6 +37,7 @@ PACKAGES = {
     "matplotlib": "matplotlib",
     "netCDF4": "netcdf4",
     "numpy": "numpy",
+    "platformdirs": "platformdirs",
     "pluggy": "pluggy",
     "pyproj": "pyproj",
     "scipy": "scipy",
