@@ -1,0 +1,67 @@
+"""Observation operators: selection, stacking, covariances."""
+
+import numpy as np
+import pytest
+
+from dafw import ConfigurationError, ObservationOperator, Selection
+from dafw.core.observation import Stacked, colour, stack, whiten
+
+MEMBERS = np.arange(12.0).reshape(3, 4)
+FULL = np.array([[2.0, 0.5], [0.5, 1.0]])
+
+
+class Sum(ObservationOperator):
+    """Reads the sum of the state."""
+
+    def apply(self, members):
+        return members.sum(axis=1, keepdims=True)
+
+
+def test_a_selection_reads_entries():
+    operator = Selection(indices=np.array([3, 1]), covariance=np.ones(2))
+    np.testing.assert_array_equal(operator.apply(MEMBERS), MEMBERS[:, [3, 1]])
+
+
+def test_the_noise_is_the_covariance_unless_set_apart():
+    told = Selection(indices=np.array([0]), covariance=np.array([1e-3]))
+    apart = Selection(indices=np.array([0]), covariance=np.array([1e-3]), noise_covariance=np.array([1e-6]))
+    assert told.noise == 1e-3 and apart.noise == 1e-6 and apart.covariance == 1e-3
+
+
+def test_stacked_selections_stay_a_selection():
+    stacked = stack(
+        (
+            Selection(indices=np.array([0]), covariance=np.array([1.0]), coordinates=np.array([[1.0, 2.0]])),
+            Selection(indices=np.array([2, 3]), covariance=np.array([2.0, 3.0])),
+        )
+    )
+    assert isinstance(stacked, Selection)
+    np.testing.assert_array_equal(stacked.apply(MEMBERS), MEMBERS[:, [0, 2, 3]])
+    np.testing.assert_array_equal(stacked.covariance, [1.0, 2.0, 3.0])
+    np.testing.assert_array_equal(stacked.coordinates, [[1, 2], [np.nan, np.nan], [np.nan, np.nan]])
+
+
+def test_stacking_keeps_full_covariances_block_diagonal():
+    stacked = stack((Selection(indices=np.array([0, 1]), covariance=FULL), Sum(covariance=np.array([4.0]))))
+    assert isinstance(stacked, Stacked)
+    np.testing.assert_array_equal(stacked.covariance, [[2.0, 0.5, 0], [0.5, 1.0, 0], [0, 0, 4.0]])
+    np.testing.assert_array_equal(stacked.apply(MEMBERS)[:, 2], MEMBERS.sum(axis=1))
+
+
+@pytest.mark.parametrize("covariance", [FULL, np.array([2.0, 3.0])], ids=["full", "diagonal"])
+def test_whitening_undoes_colouring(covariance):
+    rows = np.random.default_rng(0).standard_normal((5, 2))
+    np.testing.assert_allclose(whiten(covariance, colour(covariance, rows)), rows, atol=1e-14)
+    np.testing.assert_allclose(whiten(covariance, colour(covariance, rows[0])), rows[0], atol=1e-14)
+    matrix = covariance if covariance.ndim == 2 else np.diag(covariance)
+    inner = whiten(covariance, rows) @ whiten(covariance, rows).T
+    np.testing.assert_allclose(inner, rows @ np.linalg.inv(matrix) @ rows.T, atol=1e-13)
+
+
+@pytest.mark.parametrize(
+    ("covariance", "message"),
+    [(np.ones((2, 3)), r"shape \(2, 3\)"), (np.array([1.0, 0.0]), "not above zero"), (np.ones((2, 2, 2)), "shape")],
+)
+def test_covariances_that_are_none_are_refused(covariance, message):
+    with pytest.raises(ConfigurationError, match=message):
+        Selection(indices=np.array([0, 1]), covariance=covariance)

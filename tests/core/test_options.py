@@ -1,0 +1,89 @@
+"""Options of plugins: typed, ranged, nested; refused with what is accepted."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+
+from dafw import OptionError, option
+from dafw.core.options import build, describe
+
+
+@dataclass
+class Nested:
+    size: float = option(1.0, "a size", above=0.0)
+
+
+@dataclass
+class Options:
+    count: int = option(3, "a count", minimum=1)
+    factor: float = option(1.0, "a factor", maximum=2.0)
+    mode: str = option("slow", "a mode", choices=("slow", "fast"))
+    limits: list[float] | None = option(None, "two limits", minimum=0.0)
+    names: dict[str, str] = option({}, "names")
+    anything: Any = option(0, "anything")
+    nested: Nested = option(Nested, "a group")
+
+
+@dataclass
+class Required:
+    value: int
+
+
+def test_defaults_are_made_anew_for_every_instance():
+    first, second = build(Options, {}, "x"), build(Options, {}, "x")
+    first.names["a"] = "b"
+    first.nested.size = 7.0
+    assert second.names == {} and second.nested.size == 1.0
+
+
+def test_values_arrive_typed():
+    made = build(Options, {"factor": 2, "limits": [1, 2], "nested": {"size": 4}, "anything": [1]}, "x")
+    assert (made.factor, made.limits, made.nested.size, made.anything) == (2.0, [1.0, 2.0], 4.0, [1])
+    assert isinstance(made.factor, float)
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"cuont": 1}, "filter 'x': unknown option 'cuont' .accepted: count, factor, mode"),
+        ({"count": 1.5}, "'count' must be of type int, got 1.5"),
+        ({"count": True}, "'count' must be of type int, got True"),
+        ({"count": 0}, "'count' must be at least 1, got 0"),
+        ({"factor": "2"}, "'factor' must be of type float, got '2'"),
+        ({"factor": 2.5}, "at most 2.0"),
+        ({"factor": float("nan")}, "'factor' must be"),
+        ({"factor": float("-inf")}, "must be finite"),
+        ({"mode": "medium"}, "one of slow, fast; got 'medium'"),
+        ({"limits": [1.0, -1.0]}, "at least 0.0"),
+        ({"limits": "ab"}, "must be of type"),
+        ({"names": {"a": 1}}, "must be of type"),
+        ({"nested": 3}, "'nested' must be a mapping"),
+        ({"nested": {"size": 0.0}}, "filter 'x', nested: option 'size' must be above 0.0"),
+        ({"nested": {"length": 1}}, "unknown option 'length' .accepted: size"),
+    ],
+)
+def test_wrong_values_are_refused_by_name(values, message):
+    with pytest.raises(OptionError, match=message):
+        build(Options, values, "filter 'x'")
+
+
+def test_a_required_option_must_be_given():
+    with pytest.raises(OptionError, match="'value' must be given"):
+        build(Required, {}, "x")
+    assert build(Required, {"value": 4}, "x").value == 4
+
+
+def test_options_are_described_with_dotted_names():
+    described = {entry.name: entry for entry in describe(Options)}
+    assert described["nested.size"].help == "a size"
+    assert described["limits"].type == "list[float] | None"
+    assert describe(Required)[0].default == "(required)"
+
+
+def test_a_class_that_is_no_dataclass_is_named():
+    class Plain:
+        value: int = 3
+
+    with pytest.raises(OptionError, match="Plain is not a dataclass"):
+        describe(Plain)

@@ -1,0 +1,116 @@
+"""The state space: averages, differences and moves that respect what the numbers mean."""
+
+import numpy as np
+import pytest
+
+from dafw import ANGLE, FIELD, NONNEGATIVE, ConfigurationError, StateSpace, Variable
+
+SPACE = StateSpace([Variable("height", 3, FIELD), Variable("gas", 2, NONNEGATIVE), Variable("direction", 1, ANGLE)])
+
+
+def random_members(n_members: int, seed: int = 1) -> np.ndarray:
+    generator = np.random.default_rng(seed)
+    members = generator.standard_normal((n_members, SPACE.size))
+    members[:, 3:5] = np.abs(members[:, 3:5])
+    members[:, 5] = np.mod(members[:, 5], 2 * np.pi)
+    return members
+
+
+def test_retracting_the_difference_gives_the_other_point():
+    a, b = random_members(2)
+    np.testing.assert_allclose(SPACE.retract(b, SPACE.difference(a, b)), a, atol=1e-14)
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.3, np.pi, 6.0])
+def test_the_circular_mean_turns_with_its_angles(turn):
+    angles = np.array([6.1, 0.2, 0.4])
+    space = StateSpace([Variable("direction", 1, ANGLE)])
+    mean = space.mean(angles[:, None])
+    turned = space.mean(np.mod(angles + turn, 2 * np.pi)[:, None])
+    np.testing.assert_allclose(space.difference(turned, mean + turn), 0.0, atol=1e-14)
+
+
+def test_the_mean_across_the_seam_is_at_the_seam():
+    space = StateSpace([Variable("direction", 1, ANGLE)])
+    mean = space.mean(np.array([[0.1], [2 * np.pi - 0.1]]))
+    assert abs(space.difference(mean, np.zeros(1))[0]) < 1e-14
+
+
+def test_differences_of_angles_lie_between_minus_pi_and_pi():
+    angles = np.linspace(0.0, 2 * np.pi, 37, endpoint=False)[:, None]
+    space = StateSpace([Variable("direction", 1, ANGLE)])
+    differences = space.difference(angles[:, None], angles[None, :])
+    assert differences.min() >= -np.pi and differences.max() < np.pi
+    assert space.difference(np.array([np.pi]), np.zeros(1))[0] == -np.pi
+
+
+def test_an_angle_a_hair_below_zero_becomes_zero_not_two_pi():
+    space = StateSpace([Variable("direction", 1, ANGLE)])
+    assert space.retract(np.zeros(1), np.array([-1e-18]))[0] == 0.0
+
+
+def test_nonnegative_values_are_clamped_and_fields_are_not():
+    moved = SPACE.retract(np.zeros(6), -np.ones(6))
+    np.testing.assert_array_equal(moved[:5], [-1, -1, -1, 0, 0])
+
+
+def test_spread_is_the_sample_standard_deviation():
+    members = random_members(7)
+    np.testing.assert_allclose(SPACE.spread(members)[:5], members[:, :5].std(axis=0, ddof=1))
+    assert np.isnan(SPACE.spread(members[:1])).all()
+
+
+def test_pack_and_unpack_are_inverse():
+    members = random_members(4)
+    np.testing.assert_array_equal(SPACE.pack(SPACE.unpack(members)), members)
+    packed = SPACE.pack({"height": [1, 2, 3], "gas": [4, 5], "direction": 0.5})
+    np.testing.assert_array_equal(packed, [1, 2, 3, 4, 5, 0.5])
+
+
+def test_unpack_gives_views():
+    members = random_members(2)
+    SPACE.unpack(members)["gas"][:] = 9.0
+    assert (members[:, 3:5] == 9.0).all()
+
+
+def test_nothing_is_changed_in_place():
+    members = random_members(3)
+    members.setflags(write=False)
+    mean = SPACE.mean(members)
+    mean.setflags(write=False)
+    SPACE.retract(mean, SPACE.difference(members, mean))
+
+
+def test_nearest_finds_the_nearest_coordinates():
+    variable = Variable("gas", 3, coordinates=np.array([[0.0, 0.0], [10.0, 0.0], [0.0, 10.0]]))
+    np.testing.assert_array_equal(variable.nearest(np.array([[8.0, 1.0], [1.0, 6.0]])), [1, 2])
+
+
+@pytest.mark.parametrize(
+    ("variables", "message"),
+    [
+        ([], "at least one variable"),
+        ([Variable("a", 1), Variable("a", 2)], "two variables named 'a'"),
+    ],
+)
+def test_spaces_that_make_no_sense_are_refused(variables, message):
+    with pytest.raises(ConfigurationError, match=message):
+        StateSpace(variables)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"name": "not a name", "size": 1}, "identifier"),
+        ({"name": "a", "size": 0}, "at least 1"),
+        ({"name": "a", "size": 2, "coordinates": np.zeros((3, 2))}, r"\(2, d\)"),
+    ],
+)
+def test_variables_that_make_no_sense_are_refused(arguments, message):
+    with pytest.raises(ConfigurationError, match=message):
+        Variable(**arguments)
+
+
+def test_an_unknown_variable_is_refused_with_the_names_there_are():
+    with pytest.raises(ConfigurationError, match="height, gas, direction"):
+        SPACE.slice("temperature")
