@@ -1,0 +1,139 @@
+"""``run.nc``: what it holds, that it opens at any moment, that nothing is overwritten."""
+
+import numpy as np
+import pytest
+import xarray
+from toys import AIRSPACE, toy_parts
+
+from dafw import Domain, RunError, Vehicle, open_run
+from dafw.core.cycle import advance, start
+from dafw.core.ensemble import Diagnostic, Route
+from dafw.core.record import Record
+
+VEHICLE = Vehicle(np.zeros((1, 2)), speed=1.0, dt=2.0)
+
+
+def record_run(path, parts=None, cycles=3, members=("rate",), n_members=5):
+    parts = parts or toy_parts()
+    state = start(parts, n_members, VEHICLE)
+    record = Record(
+        path, parts, state, whole=members, section=np.array([[0.0, 0.0], [9.0, 9.0]]), attributes={"seed": 0}
+    )
+    done = []
+    for _ in range(cycles):
+        done.append(advance(parts, state))
+        record.append(done[-1])
+        state = done[-1].state
+    return record, done
+
+
+def test_it_holds_the_contract_names(tmp_path):
+    record, _ = record_run(tmp_path / "run.nc")
+    record.close()
+    with xarray.open_dataset(tmp_path / "run.nc") as run:
+        assert dict(run.sizes) | {"time": 4, "node": 4, "member": 5, "vehicle": 1} == dict(run.sizes)
+        for variable, dims in (("gas", ("time", "node")), ("rate", ("time",))):
+            for stage in ("truth", "free", "forecast_mean", "forecast_spread", "mean", "spread"):
+                assert run[f"{variable}_{stage}"].dims == dims
+        assert run["rate_members"].dims == ("time", "member") and "gas_members" not in run
+        assert run["err"].dims == run["err_free"].dims == ("time",)
+        assert run["vehicle_x"].dims == run["vehicle_y"].dims == ("time", "vehicle")
+        assert all("units" in run[name].attrs and "long_name" in run[name].attrs for name in run.data_vars)
+
+
+def test_rows_are_the_states_after_so_many_cycles(tmp_path):
+    record, done = record_run(tmp_path / "run.nc")
+    record.close()
+    with open_run(tmp_path) as run:
+        np.testing.assert_array_equal(run["time"], [0.0, 2.0, 4.0, 6.0])
+        for row, cycle in enumerate(done, start=1):
+            belief = cycle.state.belief.ensemble
+            np.testing.assert_array_equal(run["gas_mean"][row], belief.mean[:4].astype("f4"))
+            np.testing.assert_array_equal(run["rate_mean"][row], belief.mean[4])
+            np.testing.assert_array_equal(run["rate_members"][row], belief.members[:, 4])
+            np.testing.assert_array_equal(run["observation_value"][row], cycle.observation.values)
+            truth = cycle.state.truth.ensemble.members[0, :4]
+            expected = np.linalg.norm(truth - belief.mean[:4]) / np.linalg.norm(truth) * 100
+            assert run["err"][row] == pytest.approx(expected, rel=1e-14)
+        assert np.isnan(run["gas_forecast_mean"][0]).all() and run["gas_mean"][0].notnull().all()
+        np.testing.assert_array_equal(run["vehicle_x"][:, 0], [0.0, 1.0, 2.0, 3.0])
+
+
+def test_it_opens_while_it_is_written(tmp_path):
+    record, _ = record_run(tmp_path / "run.nc")
+    record.flush()
+    with open_run(tmp_path / "run.nc") as run:
+        assert run.sizes["time"] == 4
+    record.close()
+
+
+def test_a_run_is_never_overwritten(tmp_path):
+    record, _ = record_run(tmp_path / "run.nc")
+    record.close()
+    content = (tmp_path / "run.nc").read_bytes()
+    with pytest.raises(RunError, match="holds a run already"):
+        record_run(tmp_path / "run.nc")
+    assert (tmp_path / "run.nc").read_bytes() == content
+
+
+class Talkative(type(toy_parts().policy)):
+    """Reports a score for each of three sectors."""
+
+    def decide(self, belief, vehicle, rng):
+        route = super().decide(belief, vehicle, rng)
+        score = Diagnostic(np.arange(3.0) + belief.time, ("sector",), "1", "score")
+        return Route(route.paths, diagnostics={"score": score})
+
+
+def test_diagnostics_of_plugins_are_kept_under_their_kind(tmp_path):
+    record, _ = record_run(tmp_path / "run.nc", toy_parts(policy=Talkative()))
+    record.close()
+    with open_run(tmp_path) as run:
+        assert run["policy_score"].dims == ("time", "sector")
+        np.testing.assert_array_equal(run["policy_score"][1:, 0], [0.0, 2.0, 4.0])
+        assert run["policy_score"][0].isnull().all()
+
+
+def test_readings_of_changing_number_are_padded(tmp_path):
+    parts = toy_parts()
+    two = type(parts.observer)
+
+    class Changing(two):
+        def operator(self, space, route, t):
+            from dataclasses import replace
+
+            one = super().operator(space, route, t)
+            if t == 2.0:
+                return replace(one, indices=np.array([2, 4]), covariance=np.ones(2))
+            return one
+
+    record, _ = record_run(tmp_path / "run.nc", toy_parts(observer=Changing()))
+    record.close()
+    with open_run(tmp_path) as run:
+        assert run["observation_value"].count("observation").values.tolist() == [0, 1, 2, 1]
+        # the second of them reads the rate, which is no node
+        assert np.nan_to_num(run["observation_node"].values, nan=-1).tolist()[2] == [2, -1]
+
+
+def test_the_mesh_is_ugrid_and_the_buildings_are_cf(tmp_path):
+    xugrid = pytest.importorskip("xugrid", reason="xugrid is a development dependency")
+    parts = toy_parts()
+    ring = np.array([[2.0, 2.0], [4.0, 2.0], [3.0, 4.0]])
+    parts.model.domain = Domain(
+        AIRSPACE.bounds, (ring,), ("tank",), np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32), {"release": (1.0, 1.0)}
+    )
+    record, _ = record_run(tmp_path / "run.nc", parts)
+    record.close()
+    with xarray.open_dataset(tmp_path / "run.nc") as run:
+        assert run["obstacle_vertex_count"].item() == 3 and run["obstacle_name"].item() == "tank"
+        assert run["landmark_name"].item() == "release"
+        grid = xugrid.UgridDataset(run).ugrid.grid
+        assert (grid.n_node, grid.n_face) == (4, 2)
+
+
+@pytest.mark.parametrize("content", [None, b"", b"not a netCDF file at all"])
+def test_what_is_no_run_is_refused(tmp_path, content):
+    if content is not None:
+        (tmp_path / "run.nc").write_bytes(content)
+    with pytest.raises(RunError):
+        open_run(tmp_path)
