@@ -24,6 +24,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from dafw.core.errors import ConfigurationError, OptionError, PluginError
 from dafw.core.experiment import Study
+from dafw.core.options import schema
 from dafw.core.registry import KINDS, registry
 
 HARMLESS = re.compile(r"hydra\._internal\.|hydra_plugins\.|hydra\.core\.|logging\.|colorlog\.")
@@ -39,7 +40,7 @@ def config_folder() -> Path:
 def register_schemas() -> None:
     """Tell Hydra about the study and every plugin that can be imported."""
     store = ConfigStore.instance()
-    store.store(name="study", node=Study)
+    store.store(name="study", node=schema(Study))
     for registered in registry().plugins():
         try:
             node = registry().schema(registered.spec.kind, registered.spec.name)
@@ -116,7 +117,7 @@ def explained(error: BaseException) -> ConfigurationError:
     options = getattr(root, "object_type", None)
     lines = [line.strip() for line in str(root).splitlines() if line.strip()]
     if key and dataclasses.is_dataclass(options):
-        names = [f.name for f in dataclasses.fields(options) if f.name != "name" or options is Study]
+        names = [f.name for f in dataclasses.fields(options) if f.name != "name" or "." not in str(key)]
         last = str(key).rpartition(".")[2]
         if last not in names and last != "name":
             return OptionError(f"unknown option '{key}' (accepted: {', '.join(names) or 'none'})")

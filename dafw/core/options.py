@@ -83,11 +83,12 @@ def schema(cls: type, **fixed: str) -> type:
 
 
 def _composable(hint: Any) -> Any:
-    """Return the type that Hydra checks; what it cannot express (a union with a list) is checked by ``build`` alone."""
+    """Return the type that Hydra checks; what it cannot express well is checked by ``build`` alone.
+
+    That is a union with a container, and a container of containers (where Hydra takes no int for a float).
+    """
     parts = [part for part in typing.get_args(hint) if part is not type(None)]
-    if isinstance(hint, types.UnionType) or typing.get_origin(hint) is typing.Union:
-        return hint if len(parts) == 1 and typing.get_origin(parts[0]) is None else Any
-    return hint
+    return Any if any(typing.get_origin(part) is not None for part in parts) or len(parts) > 2 else hint
 
 
 def build[T](cls: type[T], values: Mapping[str, Any], where: str) -> T:
