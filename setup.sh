@@ -15,8 +15,7 @@ here=$(CDPATH='' cd -- "$(dirname -- "$0")" && pwd -P)
 environment=$here/.venv
 
 # What a bare Debian or Ubuntu may lack; dafw/doctor.py knows what each is for and which of them are missing.
-debian_packages="python3-venv python3-dev gcc libc6-dev libfontconfig1 libgl1 libglu1-mesa libgomp1 libstdc++6 \
-libx11-6 libxcursor1 libxext6 libxfixes3 libxft2 libxinerama1 libxrender1 zlib1g"
+debian_packages="python3-venv python3-dev gcc libc6-dev libgl1 libglu1-mesa libgomp1 libxcursor1 libxft2 libxinerama1"
 
 say() { echo "dafw: $*" >&2; }
 die() { status=$1; shift; say "$*"; exit "$status"; }
@@ -62,7 +61,8 @@ find_uv() {
     fi
     say "installing uv for this folder"
     "$python" -m venv --clear "$here/.uv/tool" || die 1 "$python could not make an environment for uv (see above)"
-    "$here/.uv/tool/bin/python" -m pip install --quiet uv || die 1 "uv could not be installed (see above)"
+    "$here/.uv/tool/bin/python" -m pip install --quiet --disable-pip-version-check uv ||
+        die 1 "uv could not be installed (see above)"
 }
 
 make_environment() {

@@ -47,22 +47,17 @@ PACKAGES = {
     "xarray": "xarray",
 }
 
-# What gmsh's wheel links to and does not bring -> the Debian and Ubuntu package that does.
+# What gmsh's wheel links to and does not bring -> the Debian and Ubuntu package that does. What else it wants
+# (X11, Xext, Xfixes, Xrender, fontconfig; stdc++, z) comes with these, or apt itself wants it.
 LIBRARIES = {
     "libGL.so.1": "libgl1",
     "libGLU.so.1": "libglu1-mesa",
-    "libX11.so.6": "libx11-6",
     "libXcursor.so.1": "libxcursor1",
-    "libXext.so.6": "libxext6",
-    "libXfixes.so.3": "libxfixes3",
     "libXft.so.2": "libxft2",
     "libXinerama.so.1": "libxinerama1",
-    "libXrender.so.1": "libxrender1",
-    "libfontconfig.so.1": "libfontconfig1",
     "libgomp.so.1": "libgomp1",
-    "libstdc++.so.6": "libstdc++6",
-    "libz.so.1": "zlib1g",
 }
+SHARED_MEMORY = Path("/dev/shm")
 COMPILER_PACKAGES = ("gcc", "libc6-dev")
 
 PROGRAM = '#include <stdio.h>\n#include <math.h>\nint main(void) { return printf("%f", sin(1.0)) < 0; }\n'
@@ -97,6 +92,7 @@ def diagnose_system() -> list[Finding]:
         _libraries(),
         _writable("cache of dafw", cache, "set DAFW_CACHE to a folder that you may write"),
         _writable("cache of compiled forms", forms, "set XDG_CACHE_HOME to a folder that you may write"),
+        _shared_memory(),
         _space(cache),
     ]
 
@@ -188,6 +184,13 @@ def _writable(name: str, folder: Path, remedy: str) -> Finding:
             return Finding(name, True, str(folder))
     except OSError as error:
         return Finding(name, False, f"{folder}: {error.strerror}", remedy)
+
+
+def _shared_memory() -> Finding:
+    """MPI starts only where it can share memory, even with one process."""
+    if sys.platform != "linux":
+        return Finding("shared memory", True, f"needs nothing on {sys.platform}")
+    return _writable("shared memory", SHARED_MEMORY, f"as root: mount -t tmpfs -o mode=1777 tmpfs {SHARED_MEMORY}")
 
 
 def _space(cache: Path) -> Finding:

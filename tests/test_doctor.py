@@ -154,6 +154,15 @@ def test_cache_folder_that_cannot_be_written(monkeypatch, tmp_path):
     assert doctor._writable("cache", tmp_path / "new" / "one", "elsewhere").ok
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere MPI shares memory by other means")
+def test_shared_memory_that_cannot_be_written(monkeypatch, tmp_path):
+    assert doctor._shared_memory().ok
+    (tmp_path / "file").write_text("")
+    monkeypatch.setattr(doctor, "SHARED_MEMORY", tmp_path / "file" / "shm")
+    finding = doctor._shared_memory()
+    assert not finding.ok and "mount -t tmpfs" in finding.remedy
+
+
 def test_the_fullest_disk_counts(monkeypatch, tmp_path):
     usage = namedtuple("usage", "free")
     free = {str(tmp_path): doctor.FREE_SPACE - 1, str(Path.cwd()): doctor.FREE_SPACE}
