@@ -9,7 +9,7 @@ import numpy as np
 from dafw.plugins.models.dispersion.newton import Iterate
 
 FIRST_RATIO = 4.0
-SMALLEST_RATIO = 1.02
+SMALLEST_RATIO = 1.05
 """Where even a step by this factor fails, there is no way on."""
 
 
@@ -23,9 +23,10 @@ def climb(
     power 3/2 after a success. The caller must look at ``converged``: it is false after ``max_steps`` attempts and
     where steps became too small.
     """
-    here = newton(lift, 0.0)
+    here = trial = newton(lift, 0.0)
     count, at, goal, ratio = here.factorisations, 0.0, reynolds, FIRST_RATIO
-    trial = here
+    if not here.converged or reynolds == 0.0:
+        return here, count
     for _ in range(max_steps):
         trial = newton(here.unknowns, goal)
         count += trial.factorisations

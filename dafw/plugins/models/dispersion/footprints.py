@@ -1,4 +1,4 @@
-"""Footprints made fit for a mesh: rings repaired, neighbours merged, what is too narrow or too little closed or removed.
+"""Footprints made fit for a mesh: rings repaired, neighbours merged, gaps closed, slivers and little ones removed.
 
 All overlays are done on a grid of 1 mm, so that shared walls stay shared. Offsets have mitred corners: what is moved
 out and in again comes back with its corners sharp and its walls where they were.
@@ -64,11 +64,14 @@ def arrange(
     counts of ``report`` say what was done.
     """
     inside = _clip(footprints, room, report)
-    solid = shapely.union_all([footprint.polygon for footprint in inside], grid_size=GRID)
+    solid = _areas(shapely.union_all([footprint.polygon for footprint in inside], grid_size=GRID))
     thick = _opened(solid, THINNEST * gap)
     report["slivers_removed"] = _pieces(solid, thick)
     limits = room.buffer(rim, join_style="mitre")
-    closed = _closed(_bridged(_polygons(thick), gap), limits, gap)
+    closed, parts = thick, -1
+    while len(closed.geoms) != parts:  # what is filled may bring others near; every further round has fewer parts
+        parts = len(closed.geoms)
+        closed = _closed(_bridged(_polygons(closed), gap), limits, gap)
     report["gaps_closed"] = _pieces(closed, thick)
 
     buildings = [_labelled(polygon, inside) for polygon in _polygons(closed)]
@@ -94,7 +97,7 @@ def _clip(footprints: list[Footprint], room: Polygon, report: dict[str, int]) ->
     """Cut back what reaches beyond ``room``: the wind blows on the whole of the outer boundary, and must balance."""
     inside = []
     for footprint in footprints:
-        cut = footprint.polygon.intersection(room)
+        cut = _areas(footprint.polygon.intersection(room))
         if cut.area <= NOTICEABLE:
             report["outside"] += 1
         else:
@@ -106,21 +109,21 @@ def _clip(footprints: list[Footprint], room: Polygon, report: dict[str, int]) ->
 def _opened(solid: Any, width: float) -> Any:
     """Remove what is thinner than ``width`` m: morphological opening."""
     core = _offset(solid, -width / 2)
-    return shapely.intersection(_offset(core, width / 2), solid, grid_size=GRID)
+    return _areas(shapely.intersection(_offset(core, width / 2), solid, grid_size=GRID))
 
 
 def _bridged(parts: list[Polygon], gap: float) -> Any:
-    """Join parts closer than ``gap`` m where they are closest; corner to corner, closing alone would leave them apart."""
-    if not parts:
-        return shapely.MultiPolygon()
+    """Join parts closer than ``gap`` m where they are closest: closing alone leaves corner and corner apart."""
     bridges = []
-    for first, second in shapely.STRtree(parts).query(parts, predicate="dwithin", distance=gap * (1 - 1e-9)).T:
+    tree, within = shapely.STRtree(parts), gap * (1 - 1e-9)
+    near_pairs = tree.query(np.asarray(parts, dtype=object), predicate="dwithin", distance=within)
+    for first, second in near_pairs.T:
         if first < second:
             line = shapely.shortest_line(parts[first], parts[second])
             near = shapely.box(*line.centroid.buffer(gap).bounds)
             ends = [shapely.convex_hull(near.intersection(parts[part])) for part in (first, second)]
             bridges.append(shapely.convex_hull(shapely.union_all(ends)))
-    return shapely.union_all([*parts, *bridges], grid_size=GRID)
+    return _areas(shapely.union_all([*parts, *bridges], grid_size=GRID))
 
 
 def _closed(solid: Any, limits: Polygon, gap: float) -> Any:
@@ -165,11 +168,17 @@ def _without_short_sides(polygon: Polygon, shortest: float) -> tuple[Polygon, in
 
 
 def _offset(geometry: Any, distance: float) -> Any:
-    return shapely.buffer(geometry, distance, join_style="mitre", mitre_limit=10.0)
+    moved = shapely.buffer(geometry, distance, join_style="mitre", mitre_limit=10.0)
+    return moved if moved.is_valid else _areas(shapely.make_valid(moved, method="structure", keep_collapsed=False))
 
 
 def _polygons(geometry: Any) -> list[Polygon]:
     return [part for part in shapely.get_parts(geometry) if part.geom_type == "Polygon" and not part.is_empty]
+
+
+def _areas(geometry: Any) -> Any:
+    """Leave out the points and lines that an overlay may bring along."""
+    return shapely.MultiPolygon(_polygons(geometry))
 
 
 def _pieces(larger: Any, smaller: Any) -> int:

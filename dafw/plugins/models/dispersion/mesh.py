@@ -36,8 +36,8 @@ class MeshError(RequestError):
 class MeshOptions:
     """How long the sides of the triangles are."""
 
-    wall_size: float = option(14.0, "m; side of the triangles at the walls of buildings", above=0.0)
-    far_size: float = option(36.0, "m; side of the triangles far from any wall", above=0.0)
+    wall_size: float = option(16.0, "m; side of the triangles at the walls of buildings", above=0.0)
+    far_size: float = option(24.0, "m; side of the triangles far from any wall", above=0.0)
     transition: float = option(100.0, "m; from a wall to where the far size is reached", above=0.0)
     across: int = option(2, "triangles across a passage, down to a quarter of the wall size", minimum=1)
     max_nodes: int = option(1_000_000, "refuse a mesh that would have more nodes than about this", minimum=1)
@@ -57,28 +57,31 @@ def generate(site: Site, options: MeshOptions) -> Path:
     The cache is the folder ``DAFW_CACHE``, or else the user's cache folder; a file's name is the digest of all that
     defines it. Raises MeshError where the options make no sense, the mesh would be too large, or gmsh fails.
     """
-    from dafw.plugins.models.dispersion.sizing import check, size_function
+    from dafw.plugins.models.dispersion.sizing import size_function
 
-    check(site, options)
+    _check(site, options)
     path = cache_folder() / f"mesh-{_digest(site, options)}.msh"
     if path.exists():
         if _is_whole(path):
             return path
         log.warning("mesh file %s is damaged: it is made anew", path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=path.parent, prefix="making-") as folder:
-        made = Path(folder) / "mesh.msh"
-        with _gmsh() as gmsh:
-            try:
+    size = size_function(site, options)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=path.parent, prefix="making-") as folder:
+            made = Path(folder) / "mesh.msh"
+            with _gmsh() as gmsh:
                 _draw(gmsh, site)
-                gmsh.model.mesh.setSizeCallback(size_function(site, options))
+                gmsh.model.mesh.setSizeCallback(size)
                 gmsh.model.mesh.generate(2)
                 gmsh.write(str(made))
-            except Exception as error:
-                raise MeshError(f"mesh: gmsh failed on {len(site.buildings)} buildings ({error})") from None
-        content = made.read_bytes()
-        made.write_bytes(content + _seal(content))
-        os.replace(made, path)
+            content = made.read_bytes()
+            made.write_bytes(content + _seal(content))
+            made.replace(path)
+    except OSError as error:
+        raise MeshError(
+            f"mesh: cannot write to the cache {path.parent} ({error.strerror}); DAFW_CACHE moves it"
+        ) from None
     return path
 
 
@@ -98,7 +101,7 @@ def load(path: Path, comm: Any = None) -> TaggedMesh:
         raise MeshError(f"mesh file {path}: damaged, expected a file made by dafw (delete it, and it is made anew)")
     with _gmsh() as gmsh:
         gmsh.merge(str(path))
-        data = dolfinx_gmsh.model_to_mesh(gmsh.model, comm or MPI.COMM_SELF, 0, gdim=2)
+        data = dolfinx_gmsh.model_to_mesh(gmsh.model, MPI.COMM_SELF if comm is None else comm, 0, gdim=2)
     mesh, tags = data.mesh, data.facet_tags
     mesh.topology.create_connectivity(1, 2)
     if not np.array_equal(np.sort(tags.indices), np.sort(exterior_facet_indices(mesh.topology))):
@@ -120,6 +123,27 @@ def topology(tagged: TaggedMesh) -> tuple[np.ndarray, np.ndarray]:
     clockwise = (b[0] - a[0]) * (c[1] - a[1]) < (b[1] - a[1]) * (c[0] - a[0])
     triangles[clockwise, 1:] = triangles[clockwise, :0:-1]
     return nodes, triangles
+
+
+def _check(site: Site, options: MeshOptions) -> None:
+    """Raise MeshError where options make no sense or ask for too many nodes."""
+    from dafw.plugins.models.dispersion.sizing import expected_nodes
+
+    for name in ("wall_size", "far_size", "transition", "across", "max_nodes"):
+        value = getattr(options, name)
+        if not 0 < value < float("inf"):
+            raise MeshError(f"mesh: expected {name} above 0, got {value}")
+    if options.far_size < options.wall_size:
+        raise MeshError(
+            f"mesh: expected a far_size of at least the wall_size, {options.wall_size:g} m, got {options.far_size:g} m"
+        )
+    if not site.domain.is_valid:  # gmsh would not come back from crossing walls
+        raise MeshError("mesh: expected buildings that are disjoint and inside the rectangle of the site")
+    nodes = expected_nodes(site, options)
+    if nodes > options.max_nodes:
+        raise MeshError(
+            f"mesh: about {nodes:.2g} nodes are asked for, expected at most {options.max_nodes} (max_nodes)"
+        )
 
 
 def cache_folder() -> Path:
@@ -171,10 +195,15 @@ def _gmsh() -> Iterator[Any]:
         gmsh.option.setNumber("Mesh.MshFileVersion", 4.1)
         gmsh.model.add("dafw")
         yield gmsh
+    except Exception as error:
+        # gmsh raises nothing more telling than Exception; whatever is more telling is not gmsh's
+        if type(error) is not Exception:
+            raise
+        raise MeshError(f"mesh: gmsh failed ({error})") from None
+    finally:
         if running:
             gmsh.model.remove()
-    finally:
-        if not running:
+        else:
             gmsh.finalize()
 
 

@@ -8,9 +8,11 @@ off, then transport. The wind does not evolve; only the assimilation changes it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -36,7 +38,9 @@ def _loaded(path: Path) -> TaggedMesh:
 
 @dataclass
 class AdvectionDiffusion(Model):
-    """Gas dispersion in a given uniform wind; buildings let it through but hold no gas."""
+    """Gas dispersion in a given uniform wind, over open ground: buildings stop vehicles, not the gas."""
+
+    expected_failures = MappingProxyType({"steps_in_set": "Galerkin's undershoots are left to the filter's retraction"})
 
     site: SiteOptions = option(SiteOptions, "where")
     mesh: MeshOptions = option(MeshOptions, "the triangles")
@@ -55,6 +59,14 @@ class AdvectionDiffusion(Model):
 
     _systems: dict[int, tuple[Array, TransportSystem]] = field(default_factory=dict, init=False, repr=False)
 
+    @classmethod
+    def check_options(cls) -> Mapping[str, Any]:
+        """Return six tanks of the plant on a mesh of some 200 nodes, in light and uncertain winds."""
+        site = {"bounds": [7.995, 50.0005, 7.9975, 50.0022]}
+        mesh = {"wall_size": 30.0, "far_size": 60.0, "across": 1}
+        cloud = {"release": [-6.0, -45.0], "release_radius": 10.0, "noise": 0.1}
+        return {"site": site, "mesh": mesh, **cloud, "wind_speed_sd": 0.5, "wind_direction_sd": 0.5}
+
     def __post_init__(self) -> None:
         if len(self.release) != 2:
             raise ConfigurationError(f"the release must be one place [x, y] in metres, got {self.release}")
@@ -65,9 +77,14 @@ class AdvectionDiffusion(Model):
         return load_site(self.site)
 
     @cached_property
+    def ground(self) -> Site:
+        """Where there is gas. A wind through walls would make the transport ill-posed, so here they are left out."""
+        return replace(self.place, buildings=(), names=(), types=())
+
+    @cached_property
     def tagged_mesh(self) -> TaggedMesh:
-        """The mesh of the site, from the cache where it was made before."""
-        return _loaded(generate(self.place, self.mesh))
+        """The mesh of the ground, from the cache where it was made before."""
+        return _loaded(generate(self.ground, self.mesh))
 
     @cached_property
     def _topology(self) -> tuple[Array, Any]:

@@ -22,6 +22,7 @@ from dafw.core.errors import SolverError
 from dafw.core.options import option
 from dafw.core.space import Array
 from dafw.plugins.models.dispersion.model import AdvectionDiffusion
+from dafw.plugins.models.dispersion.site import Site
 from dafw.plugins.models.dispersion.wind import WindOptions, WindSolver
 
 
@@ -37,6 +38,11 @@ class AdvectionDiffusionINS(AdvectionDiffusion):
     on_unsolved: str = option(
         "stop", "a wind that cannot be solved: stop, or keep the member's last good one", choices=("stop", "keep")
     )
+
+    @cached_property
+    def ground(self) -> Site:
+        """The site with its buildings: the wind stands still at their walls."""
+        return self.place
 
     @cached_property
     def solver(self) -> WindSolver:

@@ -26,7 +26,7 @@ STALLED = 0.9
 
 @dataclass(frozen=True)
 class Iterate:
-    """Where a Newton iteration ended: the vector (n,), its residual norm, the factorisations, and whether it is good."""
+    """Where a Newton iteration ended: the vector (n,), its residual norm, factorisations spent, whether it is good."""
 
     unknowns: np.ndarray
     residual: float
@@ -57,7 +57,7 @@ class Newton:
         mumps.setMumpsIcntl(6, 0)  # no permutation by value: the analysis sees the pattern alone
         mumps.setMumpsIcntl(8, 7)  # scaling by rows and columns, anew with each factorisation
         mumps.setMumpsIcntl(14, 100)  # per cent of extra workspace for pivots that are put off
-        self._right, self._left = self._matrix.createVecs()
+        self._right, self._left = self._matrix.createVecRight(), self._matrix.createVecLeft()
 
     def _factorise(self, values: np.ndarray, fixed: np.ndarray) -> None:
         problem = self._problem
@@ -72,7 +72,7 @@ class Newton:
         """Return the solution (n,), not-a-number where the factorisation or the solve failed."""
         self._left.array[:] = right
         self._solver.solve(self._left, self._right)
-        if self._solver.getConvergedReason() < 0:
+        if not self._solver.is_converged:
             return np.full(right.size, np.nan)
         return self._right.array.copy()
 
@@ -99,12 +99,12 @@ class Newton:
         x, count = start.copy(), 0
         force = residual(x)
         norm = float(np.linalg.norm(force))
-        while norm > target and count < max_iterations:
+        while target < norm < np.inf and count < max_iterations:
             self._factorise(self._problem.jacobian(x, reynolds), fixed)
             count += 1
             direction = -self._solve(force)
             quadratic = residual(x + direction)
-            if not np.isfinite(quadratic).all():
+            if not np.isfinite(quadratic @ quadratic):
                 break
             length = best_length(force, quadratic)
             x = x + length * direction

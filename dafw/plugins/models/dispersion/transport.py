@@ -22,9 +22,7 @@ class TransportOptions:
     """Options of the transport."""
 
     diffusion: float = option(0.8, "diffusion coefficient epsilon in m^2/s", minimum=0.0)
-    scheme: str = option(
-        "galerkin", "galerkin, or supg: stabilised along the wind", choices=("galerkin", "supg")
-    )
+    scheme: str = option("galerkin", "galerkin, or supg: stabilised along the wind", choices=("galerkin", "supg"))
     tolerance: float = option(
         1e-12, "residual norm of the linear solver, relative to the right-hand side", above=0.0, maximum=1e-6
     )
@@ -91,7 +89,7 @@ class Transport:
         return function
 
     def system(self, velocity: Any) -> TransportSystem:
-        """Return the steps in one wind: ``velocity`` is a DOLFINx vector function (m/s) on the same mesh, P2 or less."""
+        """Return the steps in one wind: ``velocity`` is a DOLFINx vector function (m/s) of the mesh, P2 or less."""
         self._velocity.interpolate(velocity)
         before = self._mass / self.dt
         if self._advected_mass is not None:
@@ -123,7 +121,7 @@ class TransportSystem:
         self._after = PETSc.Mat().createAIJ(
             shape, csr=(transport.indptr, transport.indices, after), comm=PETSc.COMM_SELF
         )
-        self._solver = solver = PETSc.KSP().create(PETSc.COMM_SELF)
+        solver: Any = PETSc.KSP().create(PETSc.COMM_SELF)
         solver.setOperators(self._after)
         solver.setType("bcgs")
         solver.setPCSide(PETSc.PC.Side.RIGHT)  # so that the norm watched is that of the true residual
@@ -133,7 +131,8 @@ class TransportSystem:
         options = transport.options
         solver.setTolerances(rtol=options.tolerance, atol=0.0, max_it=options.max_iterations)
         solver.setUp()
-        self._right, self._left = self._after.createVecs()
+        self._solver = solver
+        self._right, self._left = self._after.createVecRight(), self._after.createVecLeft()
 
     def step(self, concentration: np.ndarray, source: np.ndarray | None = None) -> np.ndarray:
         """Return the concentration (nodes,) one time step later.
@@ -152,7 +151,7 @@ class TransportSystem:
         self._right.array[transport.outer] = 0.0
         self._solver.solve(self._left, self._right)
         reason, after = self._solver.getConvergedReason(), self._right.array.copy()
-        if reason < 0 or not np.isfinite(after).all():
+        if reason <= 0 or not np.isfinite(after).all():
             raise SolverError(
                 f"transport: no convergence after {self._solver.getIterationNumber()} iterations (PETSc reason "
                 f"{reason}), expected a relative residual of at most {transport.options.tolerance:.3g}"

@@ -19,6 +19,7 @@ from dafw.plugins.models.dispersion.mesh import TaggedMesh
 if TYPE_CHECKING:
     from dafw.plugins.models.dispersion.newton import Iterate
 
+
 class WindError(SolverError):
     """No wind within the tolerance was found; there is nothing to use."""
 
@@ -27,7 +28,7 @@ class WindError(SolverError):
 class WindOptions:
     """Options of the steady wind."""
 
-    viscosity: float = option(20.0, "effective (eddy) viscosity in m^2/s", above=0.0)
+    viscosity: float = option(25.0, "effective (eddy) viscosity in m^2/s", above=0.0)
     closure: str = option(
         "constant",
         "constant, or proportional: viscosity * intensity / reference_intensity",
@@ -100,7 +101,7 @@ class WindSolver:
         """
         start = self._checked(intensity, direction, start)
         with np.errstate(over="ignore", invalid="ignore"):  # what overflows does not converge, and is refused as such
-            return self._solve(intensity, direction, start)
+            return self._solve(float(intensity), float(direction), start)
 
     def _solve(self, intensity: float, direction: float, start: np.ndarray | None) -> WindSolution:
         from dafw.plugins.models.dispersion.continuation import climb
@@ -162,7 +163,8 @@ class WindSolver:
         from dolfinx import fem
 
         if isinstance(wind, WindSolution):
-            wind, intensity = wind.unit, wind.intensity if intensity is None else intensity
+            intensity = wind.intensity if intensity is None else intensity
+            wind = wind.unit
         if intensity is None:
             raise ContractError("wind: expected the intensity that goes with a unit wind, got none")
         function = fem.Function(self._problem.velocity_space)

@@ -19,7 +19,7 @@ PARALLEL = 1e-9
 
 
 class WindBoundary:
-    """No slip on walls; on the outer boundary the wind all round (``uniform``) or where it does not leave (``outflow``).
+    """No slip on walls; the wind on all of the outer boundary (``uniform``) or where it does not leave (``outflow``).
 
     Where the wind is prescribed all round, one pressure is fixed at zero: that of the outermost south-western node.
     """

@@ -1,4 +1,4 @@
-"""Small triangle meshes with tagged boundaries, made of squares cut in four so that a quarter turn maps them to themselves."""
+"""Small triangle meshes with tagged boundaries: squares cut in four, so that a quarter turn maps them to themselves."""
 
 import dolfinx_solver  # noqa: F401  (before dolfinx)
 
