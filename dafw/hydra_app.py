@@ -19,26 +19,33 @@ from omegaconf import DictConfig
 
 from dafw.core.composition import compose, config_folder, explained, register_schemas, single_runs, study_part
 from dafw.core.errors import ConfigurationError, DafwError
-from dafw.core.experiment import study_from
+from dafw.core.experiment import assemble, study_from
 from dafw.running import Interrupted, run_study
 
 
 def run_command(words: Sequence[str]) -> int:
     """Run ``dafw run WORDS``; raises DafwError."""
     try:
-        asked = get_args_parser().parse_args(list(words))
+        asked = get_args_parser().parse_intermixed_args(list(words))
     except SystemExit as stop:
-        # argparse has printed its usage; --version and wrong flags end here.
-        return int(stop.code or 0) and 2
+        # argparse has printed what it had to say: the version, or which flag is wrong.
+        return 2 if stop.code else 0
+    # Hydra itself wants the flags first.
+    words = [word for word in words if word not in asked.overrides] + asked.overrides
     folder = Path(asked.config_dir).resolve() if asked.config_dir else None
     if folder is not None and not folder.is_dir():
         raise ConfigurationError(f"--config-dir {asked.config_dir}: there is no such folder")
     shown = asked.help or asked.hydra_help or asked.cfg or asked.info or asked.shell_completion
     directories = [f"hydra.searchpath=[file://{folder}]"] if folder else []
     if not shown:
-        jobs = single_runs(asked.overrides) if asked.multirun else iter([list(asked.overrides)])
-        for job in jobs:
-            study_from(study_part(compose([*job, *directories], name=asked.config_name or "config")))
+        placed = set()
+        for job in single_runs(asked.overrides) if asked.multirun else [list(asked.overrides)]:
+            study = study_from(study_part(compose([*job, *directories], name=asked.config_name or "config")))
+            # Building the parts shows what only a site or a mesh can tell; once for each place is enough.
+            place = repr((study.model, study.truth, study.free, study.vehicle))
+            if place not in placed:
+                assemble(study)
+                placed.add(place)
     return _launch(list(words), multirun=bool(asked.multirun and not shown))
 
 
@@ -58,8 +65,7 @@ def _launch(words: list[str], *, multirun: bool) -> int:
             statuses.append(error.exit_status)
             return
         except Interrupted as stop:
-            print(f"dafw: interrupted: {stop}", file=sys.stderr)
-            raise KeyboardInterrupt from stop
+            raise KeyboardInterrupt(str(stop)) from stop
         statuses.append(0)
         print(closing_line(summary))
         print(hydra_config.runtime.output_dir)
