@@ -90,7 +90,7 @@ def load(path: Path, comm: Any = None) -> TaggedMesh:
 
     Raises MeshError where the file is missing or damaged, or a facet of its boundary is not tagged.
     """
-    import dolfinx_solver  # noqa: F401  (before dolfinx: it makes the libraries findable)
+    from dafw.plugins.models.dispersion import libraries  # noqa: F401, I001  (before dolfinx)
     from dolfinx.io import gmsh as dolfinx_gmsh
     from dolfinx.mesh import exterior_facet_indices
     from mpi4py import MPI

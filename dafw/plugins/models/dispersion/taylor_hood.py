@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from typing import Any
 
-import dolfinx_solver  # noqa: F401  (before dolfinx)
+from dafw.plugins.models.dispersion import libraries  # noqa: F401  (before dolfinx)
 
 # isort: split
 import basix.ufl

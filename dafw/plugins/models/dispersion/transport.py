@@ -33,7 +33,7 @@ class Transport:
     """What no wind changes: the mass and stiffness matrices of one mesh, for steps of ``dt`` seconds."""
 
     def __init__(self, tagged_mesh: TaggedMesh, options: TransportOptions, dt: float):
-        import dolfinx_solver  # noqa: F401  (before dolfinx)
+        from dafw.plugins.models.dispersion import libraries  # noqa: F401  (before dolfinx)
 
         # isort: split
         import ufl
