@@ -18,8 +18,10 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from dafw.core.cycle import Cycle, Parts, State, advance, start
+from dafw.core.ensemble import Vehicle
 from dafw.core.errors import ConfigurationError, DafwError, RunError
 from dafw.core.experiment import Study, assemble
 from dafw.core.record import Record
@@ -41,11 +43,15 @@ def run_study(study: Study, folder: Path) -> dict[str, Any]:
     """
     if (folder / "run.nc").exists():
         raise RunError(f"{folder}: holds a run already; nothing was changed")
+    begun = perf_counter()
+    # A wrong request shows here, before anything is written.
+    parts, vehicle = assemble(study)
     folder.mkdir(parents=True, exist_ok=True)
-    run = _Run(study, folder)
-    with _log_file(folder / "run.log"), _stop_signals():
+    run = _Run(study, folder, begun)
+    # Bits that do not depend on the number of cores; and small matrices are quicker without threads.
+    with _log_file(folder / "run.log"), _stop_signals() as stop, threadpool_limits(limits=1, user_api="blas"):
         try:
-            run.cycles()
+            run.cycles(parts, vehicle, stop)
             run.finish("complete")
         except DafwError as error:
             run.finish("failed", str(error))
@@ -62,9 +68,8 @@ def run_study(study: Study, folder: Path) -> dict[str, Any]:
 class _Run:
     """One run on its way: what is done, what was measured."""
 
-    def __init__(self, study: Study, folder: Path) -> None:
-        self.study, self.folder = study, folder
-        self.begun = perf_counter()
+    def __init__(self, study: Study, folder: Path, begun: float) -> None:
+        self.study, self.folder, self.begun = study, folder, begun
         self.done = 0
         self.seconds: dict[str, float] = {}
         self.scores: dict[str, float] = {}
@@ -74,10 +79,9 @@ class _Run:
         # Until it says otherwise, a run that leaves no word was cut off.
         self._write_summary("interrupted")
 
-    def cycles(self) -> None:
-        """Run all cycles."""
+    def cycles(self, parts: Parts, vehicle: Vehicle, stop: _Stop) -> None:
+        """Run all cycles; raises Interrupted between two of them."""
         log.info("study '%s', seed %d, %d members", self.study.name, self.study.seed, self.study.members)
-        parts, vehicle = assemble(self.study)
         state = start(parts, self.study.members, vehicle)
         self.seconds["set-up"] = perf_counter() - self.begun
         _log_domain(parts)
@@ -111,6 +115,8 @@ class _Run:
                     log.info("%s", _sentence(cycle, self.scores))
                 bar.set_postfix_str(_postfix(state, self.scores), refresh=False)
                 bar.update()
+                if stop.asked and self.done < self.study.cycles:
+                    raise Interrupted
         self.parameters = _parameters(parts, state)
 
     def finish(self, status: str, error: str = "") -> None:
@@ -236,21 +242,31 @@ def _log_file(path: Path) -> Iterator[None]:
         handler.close()
 
 
+class _Stop:
+    """Whether the run was asked to stop; it does so between two cycles, never while a file is being written."""
+
+    def __init__(self) -> None:
+        self.asked = False
+
+    def __call__(self, number: int, frame: Any) -> None:
+        if self.asked and number == signal.SIGINT:
+            raise KeyboardInterrupt  # the second Ctrl-C does not wait
+        self.asked = True
+
+
 @contextmanager
-def _stop_signals() -> Iterator[None]:
-    """Let SIGTERM end a run as Ctrl-C does: with everything kept."""
+def _stop_signals() -> Iterator[_Stop]:
+    """Let Ctrl-C and SIGTERM end a run after the cycle that it is in, with everything kept."""
+    stop = _Stop()
     if threading.current_thread() is not threading.main_thread():
-        yield
+        yield stop
         return
-
-    def stop(number: int, frame: Any) -> None:
-        raise Interrupted
-
-    previous = signal.signal(signal.SIGTERM, stop)
+    previous = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        yield
+        yield stop
     finally:
-        signal.signal(signal.SIGTERM, previous)
+        for number, handler in previous.items():
+            signal.signal(number, handler)
 
 
 def run(overrides: list[str] | None = None) -> Any:
