@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import numpy as np
+import math
 
 from dafw.core.space import Array
 
@@ -12,5 +12,14 @@ def relative_error(truth: Array, estimate: Array) -> float:
 
     Both (n,). Gioia et al. (2024), Sec. IV-B, doi:10.1109/SDF63218.2024.10773899.
     """
-    size = float(np.linalg.norm(truth))
-    return float(np.linalg.norm(truth - estimate)) / size * 100.0 if size > 0.0 else float("nan")
+    size = _norm(truth)
+    return _norm(truth - estimate) / size * 100.0 if size > 0.0 else float("nan")
+
+
+def root_mean_square(values: Array) -> float:
+    """Return the root of the mean of the squares of ``values`` (n,)."""
+    return _norm(values) / math.sqrt(values.size)
+
+
+def _norm(values: Array) -> float:
+    return math.sqrt(values @ values)

@@ -14,14 +14,14 @@ from typing import Any
 import numpy as np
 
 from dafw.core.domain import Domain
-from dafw.core.space import Array, StateSpace
+from dafw.core.space import Array, StateSpace, root_variance
 
 type Memory = Mapping[str, Any]
 
 
 def freeze(array: Any) -> Array:
-    """Return ``array`` as float64 that cannot be written to."""
-    frozen = np.asarray(array, dtype=np.float64)
+    """Return ``array`` as float64 that cannot be written to, in C order: the order decides the bits of sums."""
+    frozen = np.asarray(array, dtype=np.float64, order="C")
     frozen.setflags(write=False)
     return frozen
 
@@ -44,7 +44,12 @@ type Diagnostics = Mapping[str, Diagnostic]
 
 @dataclass(frozen=True, eq=False)
 class Ensemble:
-    """Members (N, n) of a state space at a time in seconds."""
+    """Members (N, n) of a state space at a time in seconds.
+
+    >>> belief = Ensemble([[1.0, 0.1], [3.0, 6.2]], StateSpace([Variable("x", 1), Variable("angle", 1, ANGLE)]))
+    >>> belief.mean.round(3), belief.spread.round(3)
+    (array([2.   , 0.008]), array([1.414, 0.13 ]))
+    """
 
     members: Array
     space: StateSpace
@@ -69,7 +74,7 @@ class Ensemble:
     @cached_property
     def spread(self) -> Array:
         """Sample standard deviation (n,); NaN for a single member."""
-        return freeze(self.space.spread(self.members))
+        return freeze(root_variance(self.anomalies) if len(self) > 1 else np.full(self.space.size, np.nan))
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,6 +104,9 @@ class Route:
     """What the vehicles fly until the next decision: for each a polyline (k, 2) in metres that begins where it is.
 
     ``notes`` are sentences for the log (a vehicle that found every way blocked says so).
+
+    >>> Route((np.array([[0.0, 0.0], [3.0, 4.0]]),)).ends
+    array([[3., 4.]])
     """
 
     paths: tuple[Array, ...] = ()
@@ -140,7 +148,11 @@ class Forecast:
 
 @dataclass(frozen=True, eq=False)
 class Analysis:
-    """What a filter returns: the members (N, n) once the readings are in; what to remember and to record."""
+    """What a filter returns: the members (N, n) once the readings are in; what to remember and to record.
+
+    >>> Analysis(np.zeros((2, 1)), diagnostics={"rank": Diagnostic(1)}).members.shape
+    (2, 1)
+    """
 
     members: Array
     memory: Memory | None = None

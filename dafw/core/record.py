@@ -7,6 +7,7 @@ file that opens.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from time import perf_counter
@@ -15,13 +16,16 @@ from typing import Any
 import numpy as np
 
 from dafw.core.cycle import PHASES, Cycle, Parts, State
-from dafw.core.diagnostics import relative_error
+from dafw.core.diagnostics import relative_error, root_mean_square
 from dafw.core.ensemble import Diagnostic, Ensemble
 from dafw.core.errors import ContractError, RunError
 from dafw.core.space import Array, Kind, StateSpace, Variable
 from dafw.core.ugrid import write_domain
 
 FLUSH_SECONDS = 0.5
+CHUNK_NUMBERS = 4096
+SHORT_ROW = 64
+SCORES = ("err", "err_forecast", "err_free", "rmse", "spread")
 KIND_NOTES = {Kind.FIELD: "", Kind.NONNEGATIVE: "nonnegative", Kind.ANGLE: "angle in [0, 2 pi)"}
 STAGES = {
     "truth": "truth",
@@ -97,11 +101,20 @@ class Record:
         """Define a variable over time."""
         sizes = [1 if self._file.dimensions[dim].isunlimited() else len(self._file.dimensions[dim]) for dim in dims]
         fill = np.nan if dtype[0] == "f" else -1
-        chunks = [1024 if dims == ("time",) else 1, *sizes[1:]]
+        # Short rows share a chunk, and are not worth the compressor's time.
+        row_length = max(1, math.prod(sizes[1:]))
+        compressed = row_length > SHORT_ROW
+        chunks = [max(1, min(1024, CHUNK_NUMBERS // row_length)), *sizes[1:]]
         if "observation" in dims:
             chunks = [64, 16]
         variable = self._file.createVariable(
-            name, dtype, dims, zlib=True, complevel=1, fill_value=fill, chunksizes=chunks if 0 not in chunks else None
+            name,
+            dtype,
+            dims,
+            zlib=compressed,
+            complevel=1,
+            fill_value=fill,
+            chunksizes=chunks if 0 not in chunks else None,
         )
         variable.setncatts({"units": units, "long_name": long_name, **attributes})
 
@@ -142,6 +155,9 @@ class Record:
         for name, label in (("err", "belief"), ("err_forecast", "forecast"), ("err_free", "free run")):
             long_name = f"relative l2 difference of the {label}'s {self.scored} from the truth"
             self._define(name, ("time",), "f8", "percent", long_name)
+        units = self._space.variables[0].units
+        self._define("rmse", ("time",), "f8", units, f"root mean square of the belief's {self.scored} less the truth's")
+        self._define("spread", ("time",), "f8", units, f"root mean square of the belief's spread of {self.scored}")
         for axis in "xy":
             self._define(f"vehicle_{axis}", ("time", "vehicle"), "f8", "m", f"{axis} coordinate of the vehicles")
             name, long_name = f"observation_{axis}", f"{axis} coordinate of the readings"
@@ -161,7 +177,7 @@ class Record:
         row = self._append(cycle.state, cycle, {})
         if perf_counter() - self._flushed > FLUSH_SECONDS:
             self.flush()
-        return {name: row[name] for name in ("err", "err_forecast", "err_free")}
+        return {name: row[name] for name in SCORES}
 
     def _append(self, state: State, cycle: Cycle | None, row: dict[str, Any]) -> dict[str, Any]:
         belief, truth = state.belief.ensemble, state.truth.ensemble
@@ -201,7 +217,8 @@ class Record:
         if (indices := getattr(operator, "indices", None)) is not None:
             row["observation_node"] = np.where(indices < self._space.variables[0].size, indices, -1)
         if operator.coordinates is not None:
-            row["observation_x"], row["observation_y"] = operator.coordinates.T[:2]
+            for axis, column in zip("xy", operator.coordinates.T, strict=False):
+                row[f"observation_{axis}"] = column
         for kind, diagnostics in cycle.diagnostics.items():
             for name, diagnostic in diagnostics.items():
                 row[f"{kind}_{name}"] = self._diagnostic(f"{kind}_{name}", diagnostic)
@@ -227,13 +244,10 @@ class Record:
         first, last = self._written, self._written + len(self._rows)
         for name in dict.fromkeys(name for row in self._rows for name in row):
             variable = self._file.variables[name]
-            if all(name in row for row in self._rows) and "observation" not in variable.dimensions:
-                variable[first:last] = np.stack([np.asarray(row[name]) for row in self._rows])
-            else:
-                for number, row in enumerate(self._rows):
-                    if name in row and np.size(row[name]):
-                        values = np.asarray(row[name])
-                        variable[(first + number, *(slice(0, length) for length in values.shape))] = values
+            fill = variable._FillValue
+            block = _block([np.asarray(row.get(name, fill)) for row in self._rows], fill, variable.dtype)
+            if block.size:
+                variable[(slice(first, last), *map(slice, block.shape[1:]))] = block
         self._rows.clear()
         self._written = last
         self._file.sync()
@@ -246,6 +260,18 @@ class Record:
             self._file.close()
 
 
+def _block(rows: list[Any], fill: Any, dtype: Any) -> Any:
+    """Return rows of different lengths as one array, padded with ``fill``; a row that is missing is one ``fill``."""
+    if len({row.shape for row in rows}) == 1:
+        return np.array(rows, dtype=dtype)
+    deepest = max(row.ndim for row in rows)
+    lengths = np.max([row.shape for row in rows if row.ndim == deepest], axis=0)
+    block: Any = np.full((len(rows), *lengths), fill, dtype=dtype)
+    for number, row in enumerate(rows):
+        block[(number, *map(slice, row.shape))] = row
+    return block
+
+
 def _squeeze(values: Array) -> Array:
     """Return the values of a variable of size 1 without their last axis."""
     return values[..., 0] if values.shape[-1] == 1 else values
@@ -256,6 +282,8 @@ def _scores(
 ) -> dict[str, float]:
     part = space.slice(space.variables[0].name)
     scores = {"err": relative_error(truth[part], belief.mean[part])}
+    scores["rmse"] = root_mean_square(space.difference(belief.mean, truth)[part])
+    scores["spread"] = root_mean_square(belief.spread[part])
     scores["err_forecast"] = relative_error(truth[part], forecast.mean[part]) if forecast else float("nan")
     scores["err_free"] = relative_error(truth[part], free.members[0, part]) if free else float("nan")
     return scores

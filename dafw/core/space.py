@@ -49,6 +49,9 @@ class Variable:
 
     ``size`` numbers of one ``kind`` in ``units`` (UDUNITS spelling); ``coordinates`` is (size, d) in metres, or None
     where the numbers have no place. Raises ConfigurationError where these do not fit together.
+
+    >>> Variable("speed", 2, NONNEGATIVE, "m s-1", np.array([[0.0, 0.0], [9.0, 0.0]])).nearest([[7.0, 1.0]])
+    array([1])
     """
 
     name: str
@@ -83,7 +86,12 @@ class Variable:
 
 
 class StateSpace:
-    """The variables of a state in order. Variables of the same name are refused (ConfigurationError)."""
+    """The variables of a state in order. Variables of the same name are refused (ConfigurationError).
+
+    >>> space = StateSpace([Variable("speed", 1, NONNEGATIVE), Variable("direction", 1, ANGLE)])
+    >>> space.retract([1.0, 6.0], [-2.0, 1.0]).round(3)
+    array([0.   , 0.717])
+    """
 
     def __init__(self, variables: tuple[Variable, ...] | list[Variable]) -> None:
         self.variables = tuple(variables)
@@ -135,7 +143,8 @@ class StateSpace:
 
     def mean(self, members: Array) -> Array:
         """Return the mean (n,) over the members (N, n); circular for angles."""
-        mean: Array = members.mean(axis=0)
+        # What members.mean(axis=0) does, at half its overhead.
+        mean: Array = np.add.reduce(members, axis=0) / len(members)
         if self._angles.size:
             angles = members[:, self._angles]
             mean[self._angles] = _modulo(np.arctan2(np.sin(angles).mean(axis=0), np.cos(angles).mean(axis=0)))
@@ -161,8 +170,12 @@ class StateSpace:
         """Return the sample standard deviation (n,) of the members (N, n) about ``mean``; NaN for one member."""
         if len(members) < 2:
             return np.full(self.size, np.nan)
-        anomalies = self.difference(members, self.mean(members))
-        return np.asarray(np.sqrt((anomalies**2).sum(axis=0) / (len(members) - 1)))
+        return root_variance(self.difference(members, self.mean(members)))
+
+
+def root_variance(anomalies: Array) -> Array:
+    """Return the sample standard deviation (n,) of members whose difference from their mean is ``anomalies`` (N, n)."""
+    return np.asarray(np.sqrt(np.einsum("ij,ij->j", anomalies, anomalies) / (len(anomalies) - 1)))
 
 
 def _modulo(angle: Array) -> Array:

@@ -13,12 +13,17 @@ def dafw_plugins() -> list[PluginSpec]:
     dispersion = f"{_HERE}.models.dispersion.model"
     return [
         PluginSpec("model", "ad", f"{dispersion}:AdvectionDiffusion", "a gas in a given uniform wind"),
-        PluginSpec("model", "ad_ins", f"{dispersion}_ins:AdvectionDiffusionINS", "a gas in a steady wind among buildings"),
+        PluginSpec("model", "ad_ins", f"{dispersion}_ins:AdvectionDiffusionINS", "a gas in the wind among buildings"),
+        PluginSpec("model", "lorenz96", f"{_HERE}.models.lorenz96:Lorenz96", "chaos on a circle"),
+        PluginSpec("model", "linear_advection", f"{_HERE}.models.linear_advection:LinearAdvection", "waves on a ring"),
         PluginSpec("observer", "drone", f"{_HERE}.observers.drone:Drone", "reads the nodes a vehicle passes"),
         PluginSpec("observer", "stations", f"{_HERE}.observers.stations:Stations", "reads fixed places"),
+        PluginSpec("observer", "grid", f"{_HERE}.observers.grid:Grid", "reads fixed entries of a variable"),
         PluginSpec("observer", "composite", f"{_HERE}.observers.composite:Composite", "several observers at once"),
         PluginSpec("policy", "enie2d", f"{_HERE}.policies.enie2d:EnIE2D", "towards spread and concentration"),
         PluginSpec("policy", "stationary", f"{_HERE}.policies.stationary:Stationary", "every vehicle hovers"),
         PluginSpec("filter", "etkf", f"{_HERE}.filters.etkf:ETKF", "ensemble transform Kalman filter"),
+        PluginSpec("filter", "enkf", f"{_HERE}.filters.enkf:EnKF", "stochastic EnKF with perturbed observations"),
+        PluginSpec("filter", "kalman", f"{_HERE}.filters.kalman:Kalman", "exact, for linear problems and N > n"),
         PluginSpec("filter", "none", f"{_HERE}.filters.none:NoFilter", "the forecast is the analysis"),
     ]

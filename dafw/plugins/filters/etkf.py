@@ -13,6 +13,14 @@ Bishop et al. (2001), doi:10.1175/1520-0493(2001)129<0420:ASWTET>2.0.CO;2.
 
 The paper's Algorithm 1 divides by sigma_ob where R^-1 asks for its square. Here R is what the observer says the
 covariance is; the paper's experiment says so by an assumed variance (conf/observer/paper_drone.yaml).
+
+With ``rotation`` T becomes U T, with a random orthogonal U that leaves the constant vector, and so the ensemble's mean
+and covariance, as they are: it keeps a few members of a deterministic filter from carrying all of the spread. Sakov and
+Oke (2008), doi:10.1175/2007MWR2021.1. If U is uniform, U T is uniform among all roots of this covariance that keep the
+mean. So it needs no symmetric root: with the zero-mean basis B (N, N - 1) and a uniform orthogonal Q::
+
+    B^T (Y R^-1 Y^T + (N - 1) I) B = L L^T                 (N - 1, N - 1)
+    U T = sqrt(N - 1) B Q L^-1 B^T + 1 / N                 (N, N)
 """
 
 from __future__ import annotations
@@ -26,6 +34,7 @@ from dafw.core.interfaces import Filter
 from dafw.core.observation import Observation, whiten
 from dafw.core.options import option
 from dafw.core.space import Array
+from dafw.plugins.filters.rotation import uniform_orthogonal, zero_mean_basis
 
 
 def transform(predicted_anomalies: Array, innovation: Array, covariance: Array) -> tuple[Array, Array]:
@@ -36,25 +45,46 @@ def transform(predicted_anomalies: Array, innovation: Array, covariance: Array) 
     n_members = len(predicted_anomalies)
     Y = whiten(covariance, predicted_anomalies)  # noqa: N806
     dy = whiten(covariance, innovation)
-    d, V = np.linalg.eigh(Y @ Y.T + (n_members - 1) * np.eye(n_members))  # noqa: N806
-    T = np.sqrt(n_members - 1) * (V / np.sqrt(d)) @ V.T  # noqa: N806
-    Lambda = (dy @ Y.T) @ (V / d) @ V.T  # noqa: N806
+    d, V = np.linalg.eigh(Y @ Y.T)  # noqa: N806
+    d += n_members - 1  # what adding (N - 1) I does
+    T = (V * np.sqrt((n_members - 1) / d)) @ V.T  # noqa: N806
+    Lambda = (dy @ Y.T @ V / d) @ V.T  # noqa: N806
     return Lambda, T
+
+
+def rotated_transform(
+    predicted_anomalies: Array, innovation: Array, covariance: Array, rng: np.random.Generator
+) -> tuple[Array, Array]:
+    """Return Lambda (N,) as ``transform`` does, and a random rotation U T (N, N) of its T."""
+    n_members = len(predicted_anomalies)
+    basis = zero_mean_basis(n_members)
+    Y = basis.T @ whiten(covariance, predicted_anomalies)  # noqa: N806
+    dy = whiten(covariance, innovation)
+    L = np.linalg.cholesky(Y @ Y.T + (n_members - 1) * np.eye(n_members - 1))  # noqa: N806
+    root = np.linalg.solve(L, basis.T)
+    Lambda = (root @ (basis @ (Y @ dy))) @ root  # noqa: N806
+    Q = uniform_orthogonal(n_members - 1, rng)  # noqa: N806
+    return Lambda, np.sqrt(n_members - 1) * (basis @ (Q @ root)) + 1.0 / n_members
 
 
 @dataclass
 class ETKF(Filter):
     """Deterministic square-root filter in the space of the ensemble; no localization."""
 
+    accuracy = "exact"
+
     inflation: float = option(1.0, "factor on the forecast anomalies before the analysis", minimum=1.0)
+    rotation: bool = option(False, "rotate the anomalies at random after the analysis, mean and covariance kept")
 
     def analyse(
         self, forecast: Ensemble, predicted: Array, observation: Observation, rng: np.random.Generator
     ) -> Analysis:
         """Return mean + (Lambda + T) anomalies, brought back into the state's set."""
         predicted_mean = predicted.mean(axis=0)
-        weights, matrix = transform(
-            self.inflation * (predicted - predicted_mean), observation.values - predicted_mean, observation.covariance
-        )
+        anomalies, innovation = self.inflation * (predicted - predicted_mean), observation.values - predicted_mean
+        if self.rotation:
+            weights, matrix = rotated_transform(anomalies, innovation, observation.covariance, rng)
+        else:
+            weights, matrix = transform(anomalies, innovation, observation.covariance)
         increments = (weights + matrix) @ (self.inflation * forecast.anomalies)
         return Analysis(forecast.space.retract(forecast.mean, increments))

@@ -17,6 +17,7 @@ class NoFilter(Filter):
     """Leaves the belief as the model made it; works with a single member."""
 
     smallest_ensemble = 1
+    accuracy = "none"
 
     def analyse(
         self, forecast: Ensemble, predicted: Array, observation: Observation, rng: np.random.Generator

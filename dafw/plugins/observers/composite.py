@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,6 +20,11 @@ class Composite(Observer):
     """A drone and stations, say."""
 
     parts: dict[str, Any] = option({}, "the observers by a name of your own, each a mapping with its name and options")
+
+    @classmethod
+    def check_options(cls) -> Mapping[str, Any]:
+        """Return a station and a drone."""
+        return {"parts": {"pole": {"name": "stations", "positions": [[10.0, 10.0]]}, "drone": {"name": "drone"}}}
 
     def __post_init__(self) -> None:
         if not self.parts:

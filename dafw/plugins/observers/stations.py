@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -24,6 +26,11 @@ class Stations(Observer):
     variable: str = option("concentration", "state variable that is read; it needs coordinates")
     noise_sd: float = option(1e-3, "standard deviation of the readings' noise", above=0.0)
     assumed_variance: float | None = option(None, "variance that the filter is told; null: noise_sd squared", above=0.0)
+
+    @classmethod
+    def check_options(cls) -> Mapping[str, Any]:
+        """Return two stations that read at every other whole second."""
+        return {"positions": [[10.0, 10.0], [290.0, 150.0]], "every": 2.0}
 
     def __post_init__(self) -> None:
         if any(len(position) != 2 for position in self.positions):

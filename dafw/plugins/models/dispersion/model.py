@@ -118,6 +118,10 @@ class AdvectionDiffusion(Model):
     def _transport(self) -> Transport:
         return Transport(self.tagged_mesh, self.transport, self.dt)
 
+    def notes(self) -> list[str]:
+        """Return what was done to the site, and the size of the mesh."""
+        return [*self.place.report_lines(), f"{self._topology[0].shape[0]} nodes, {len(self._topology[1])} triangles"]
+
     def initial(self, n_members: int, rng: MemberStreams) -> Array:
         """Return the released bell, the same in all members, with winds drawn from the first guess."""
         nodes = self._topology[0]

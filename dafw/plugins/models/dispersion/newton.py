@@ -59,7 +59,8 @@ class Newton:
         mumps.setMumpsIcntl(14, 100)  # per cent of extra workspace for pivots that are put off
         self._right, self._left = self._matrix.createVecRight(), self._matrix.createVecLeft()
 
-    def _factorise(self, values: np.ndarray, fixed: np.ndarray) -> None:
+    def factorise(self, values: np.ndarray, fixed: np.ndarray) -> None:
+        """Factorise a Jacobian, given as CSR values that are overwritten, with the ``fixed`` unknowns left out."""
         problem = self._problem
         fixed_entry = fixed[problem.rows] | fixed[problem.indices]
         values[fixed_entry] = problem.rows[fixed_entry] == problem.indices[fixed_entry]
@@ -68,8 +69,8 @@ class Newton:
         self._solver.setOperators(self._matrix)
         self._solver.setUp()
 
-    def _solve(self, right: np.ndarray) -> np.ndarray:
-        """Return the solution (n,), not-a-number where the factorisation or the solve failed."""
+    def back_substitute(self, right: np.ndarray) -> np.ndarray:
+        """Return the solution (n,) by the last factorisation, not-a-number where it or the solve failed."""
         self._left.array[:] = right
         self._solver.solve(self._left, self._right)
         if not self._solver.is_converged:
@@ -84,11 +85,13 @@ class Newton:
         target: float,
         max_iterations: int,
         load: np.ndarray | None = None,
+        keep: bool = True,
     ) -> Iterate:
         """Iterate from ``start`` (n,) until the norm of the residual is at most ``target``.
 
         Where ``fixed`` (n,) is true, the unknown keeps its value in ``start`` and its equation is left out.
-        ``max_iterations`` bounds the factorisations. The caller must look at ``converged``.
+        ``max_iterations`` bounds the factorisations; without ``keep`` each step has its own. The caller must look at
+        ``converged``.
         """
 
         def residual(x: np.ndarray) -> np.ndarray:
@@ -100,9 +103,9 @@ class Newton:
         force = residual(x)
         norm = float(np.linalg.norm(force))
         while target < norm < np.inf and count < max_iterations:
-            self._factorise(self._problem.jacobian(x, reynolds), fixed)
+            self.factorise(self._problem.jacobian(x, reynolds), fixed)
             count += 1
-            direction = -self._solve(force)
+            direction = -self.back_substitute(force)
             quadratic = residual(x + direction)
             if not np.isfinite(quadratic @ quadratic):
                 break
@@ -112,7 +115,7 @@ class Newton:
             norm = float(np.linalg.norm(force))
             if norm > STALLED * before:
                 break
-            if length == 1.0:
+            if keep and length == 1.0:
                 x, force, norm = self._keep(residual, x, force, norm, target)
         return Iterate(x, norm, count, bool(norm <= target))  # a not-a-number compares false
 
@@ -126,7 +129,7 @@ class Newton:
     ) -> tuple[np.ndarray, np.ndarray, float]:
         """Go on with the last factorisation while it reduces the residual well."""
         while norm > target:
-            trial = x - self._solve(force)
+            trial = x - self.back_substitute(force)
             trial_force = residual(trial)
             trial_norm = float(np.linalg.norm(trial_force))
             if not trial_norm < norm:

@@ -1,0 +1,41 @@
+"""The command ``python -m benchmarks``."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from benchmarks import benchmarks, machine
+from dafw.core.errors import DafwError
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Run benchmarks, print a table, write JSON; return the exit status."""
+    known = benchmarks()
+    parser = argparse.ArgumentParser(prog="python -m benchmarks", description="Measure what dafw is held to.")
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"which to run; all where none is named: {[*known]}")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the results to FILE")
+    parser.add_argument("--short", action="store_true", help="only show that they work; the values mean nothing")
+    asked = parser.parse_args(words)
+    if unknown := [name for name in asked.names if name not in known]:
+        parser.error(f"there is no benchmark '{unknown[0]}' (there are: {', '.join(known)})")
+    results = []
+    print(f"{'benchmark':32} {'value':>10} {'held to':>10} unit")
+    for name in asked.names or known:
+        try:
+            found = known[name](asked.short)
+        except DafwError as error:
+            print(f"benchmarks: {name}: {error}", file=sys.stderr)
+            return error.exit_status
+        print(f"{name:32} {found.value:10.4g} {found.baseline:10.4g} {found.unit}", flush=True)
+        results.append({"name": name, **vars(found), "machine": machine(), "short": asked.short})
+        if asked.json:
+            asked.json.write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,138 @@
+"""Lorenz-96 as in Sakov and Oke (2008): the scores of the literature, and the speed of the loop against DAPPER's."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks import Measurement, benchmark
+from dafw.core.composition import compose, study_part
+from dafw.core.errors import ComputationError
+from dafw.core.experiment import study_from
+from dafw.core.runs import open_run
+from dafw.running import run_study
+
+DAPPER = "dapper==1.8.1"
+DIVERGED = 1.0  # an RMSE of the analysis above the readings' own error
+
+
+@dataclass(frozen=True)
+class Timed:
+    """What a run took, by the clock and of the processor, and its score.
+
+    The score is the RMSE of the analysis mean averaged over the last five sevenths of the cycles: 1000 of 1400.
+    """
+
+    seconds: float
+    processor_seconds: float
+    rmse: float
+
+
+def timed_run(overrides: Sequence[str]) -> Timed:
+    """Run a study with scores and recording on, and time all of it, set-up included."""
+    study = study_from(study_part(compose([*overrides, "free=null", "pictures=false"])))
+    with tempfile.TemporaryDirectory() as folder:
+        begun, busy = time.perf_counter(), time.process_time()
+        run_study(study, Path(folder) / "run")
+        seconds, busy = time.perf_counter() - begun, time.process_time() - busy
+        with open_run(Path(folder) / "run") as run:
+            return Timed(seconds, busy, float(run["rmse"].values[1 + study.cycles * 2 // 7 :].mean()))
+
+
+def _literature(overrides: Sequence[str], published: float, short: bool) -> Measurement:
+    """Return the median score over ten seeds."""
+    length = ["cycles=70"] if short else []
+    scores = [timed_run([*overrides, f"seed={seed}", *length]).rmse for seed in range(2 if short else 10)]
+    detail = {"scores": [round(score, 4) for score in scores], "diverged": sum(s > DIVERGED for s in scores)}
+    return Measurement(float(np.median(scores)), "RMSE", published, detail)
+
+
+@benchmark("l96.etkf_rmse")
+def etkf_rmse(short: bool) -> Measurement:
+    """ETKF, N = 24, inflation 1.013, rotation: median over ten seeds of the time-averaged RMSE."""
+    return _literature(["experiment=lorenz96"], 0.18, short)
+
+
+@benchmark("l96.etkf_rmse_unit_first_guess")
+def etkf_rmse_unit_first_guess(short: bool) -> Measurement:
+    """The same from a first guess of variance 1, from which some seeds diverge."""
+    return _literature(["experiment=lorenz96", "model.first_guess_sd=1.0"], 0.18, short)
+
+
+@benchmark("l96.enkf_rmse")
+def enkf_rmse(short: bool) -> Measurement:
+    """EnKF with perturbed observations, N = 40, inflation 1.06."""
+    return _literature(["experiment=lorenz96_enkf"], 0.22, short)
+
+
+@benchmark("l96.etkf_over_dapper")
+def etkf_over_dapper(short: bool) -> Measurement:
+    """Cycles per second of the ETKF over DAPPER's on the same setting, timed alternately; downloads DAPPER once.
+
+    Ours is a whole run: set-up, truth, readings, scores, netCDF file and summary. DAPPER's is ``assimilate`` alone. It
+    has no free run, so ours is off.
+    """
+    cycles, rounds = (70, 1) if short else (1400, 7)
+    interpreter = dapper_interpreter()
+    timed_run(["experiment=lorenz96", "cycles=20"])
+    ours, theirs = [], []
+    for seed in range(rounds):
+        theirs.append(_dapper_run(interpreter, cycles, seed + 1))
+        ours.append(timed_run(["experiment=lorenz96", f"cycles={cycles}", f"seed={seed}"]))
+    pairs = list(zip(ours, theirs, strict=True))
+    ratios = [their.seconds / our.seconds for our, their in pairs]
+    detail = {
+        "ratios": [round(ratio, 2) for ratio in ratios],
+        # On a machine that is busy with other things these tell more.
+        "ratios_of_processor_time": [round(their.processor_seconds / our.processor_seconds, 2) for our, their in pairs],
+        "cycles_per_second": [round(cycles / our.seconds) for our in ours],
+        "cycles_per_second_dapper": [round(cycles / their.seconds) for their in theirs],
+        "cycles": cycles,
+    }
+    return Measurement(float(np.median(ratios)), "times DAPPER's cycles per second", 5.0, detail)
+
+
+def _dapper_run(interpreter: Path, cycles: int, seed: int) -> Timed:
+    worker = Path(__file__).parent / "workers" / "dapper_l96.py"
+    # One thread for both: small matrices gain nothing from more.
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MPLBACKEND": "agg"}
+    printed = _command([str(interpreter), "-W", "ignore", str(worker), str(cycles), str(seed)], environment)
+    result = json.loads(printed.splitlines()[-1])
+    return Timed(result["seconds"], result["processor_seconds"], result["rmse"])
+
+
+def dapper_interpreter() -> Path:
+    """Return the Python of an environment that holds nothing but DAPPER, made once in the user's cache."""
+    from platformdirs import user_cache_path
+
+    folder = (
+        user_cache_path("dafw") / f"{DAPPER.replace('==', '-')}-py{sys.version_info.major}.{sys.version_info.minor}"
+    )
+    interpreter, ready = folder / "bin" / "python", folder / "ready"
+    if not ready.exists():
+        if uv := shutil.which("uv"):
+            _command([uv, "venv", "--clear", "--python", sys.executable, str(folder)])
+            _command([uv, "pip", "install", "--python", str(interpreter), DAPPER])
+        else:
+            _command([sys.executable, "-m", "venv", "--clear", str(folder)])
+            _command([str(interpreter), "-m", "pip", "install", "--quiet", DAPPER])
+        ready.touch()
+    return interpreter
+
+
+def _command(words: Sequence[str], environment: dict[str, str] | None = None) -> str:
+    done = subprocess.run(words, env=environment, capture_output=True, text=True, check=False)
+    if done.returncode:
+        last = (done.stderr or done.stdout).strip().splitlines()[-1:]
+        raise ComputationError(f"{Path(words[0]).name} {' '.join(words[1:3])} failed: {' '.join(last)}")
+    return done.stdout

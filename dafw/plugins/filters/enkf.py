@@ -1,0 +1,45 @@
+"""The stochastic ensemble Kalman filter with perturbed observations.
+
+With the forecast anomalies A (N, n), and the predicted anomalies Y (N, m), the innovations dy_i = y - h_i (N, m) and
+standard normal perturbations Z (N, m), their mean taken out, all three in units of the readings' errors (R = I)::
+
+    E = members + (dy - Z) Y^T (Y Y^T + (N - 1) I)^-1 A
+
+which is the gain A^T Y (Y^T Y + (N - 1) R)^-1 of the readings' space, written in the (N, N) space of the ensemble.
+
+Burgers, van Leeuwen and Evensen (1998), doi:10.1175/1520-0493(1998)126<1719:ASITEK>2.0.CO;2.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dafw.core.ensemble import Analysis, Ensemble
+from dafw.core.interfaces import Filter
+from dafw.core.observation import Observation, whiten
+from dafw.core.options import option
+from dafw.core.space import Array
+
+
+@dataclass
+class EnKF(Filter):
+    """Every member meets the readings with an error of its own; no localization."""
+
+    inflation: float = option(1.0, "factor on the forecast anomalies before the analysis", minimum=1.0)
+
+    def analyse(
+        self, forecast: Ensemble, predicted: Array, observation: Observation, rng: np.random.Generator
+    ) -> Analysis:
+        """Return the members, inflated and each moved by the gain, brought back into the state's set."""
+        anomalies = self.inflation * forecast.anomalies
+        predicted_mean = predicted.mean(axis=0)
+        predicted_anomalies = self.inflation * (predicted - predicted_mean)
+        covariance = observation.covariance
+        Y = whiten(covariance, predicted_anomalies)  # noqa: N806
+        dy = whiten(covariance, observation.values - predicted_mean - predicted_anomalies)
+        Z = rng.standard_normal(Y.shape)  # noqa: N806
+        Z -= Z.mean(axis=0)  # noqa: N806
+        gain = np.linalg.solve(Y @ Y.T + (len(Y) - 1) * np.eye(len(Y)), anomalies)
+        return Analysis(forecast.space.retract(forecast.mean, anomalies + (dy - Z) @ Y.T @ gain))

@@ -1,0 +1,65 @@
+"""Linear advection on a circle: the model whose forecast is known in closed form.
+
+::
+
+    du/dt + c du/dx = 0 on [0, L), periodic;    u(x, t) = u(x - c t, 0)
+
+The upwind scheme with the Courant number C = |c| dt / dx is first order, and exact (a shift by one cell) for C = 1::
+
+    u_i <- (1 - C) u_i + C u_{i-1}        for c >= 0, else u_{i+1}
+
+Courant, Isaacson and Rees (1952), doi:10.1002/cpa.3160050303. As a test of filters: Evensen (2004),
+doi:10.1007/s10236-004-0096-8.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dafw.core.errors import OptionError
+from dafw.core.interfaces import Model
+from dafw.core.options import option
+from dafw.core.rng import MemberStreams
+from dafw.core.space import Array, StateSpace, Variable
+
+
+@dataclass
+class LinearAdvection(Model):
+    """A linear model with a Gaussian first guess: with Gaussian readings the Kalman filter is exact.
+
+    The first guess is a sum of waves with independent normal coefficients, of zero mean and unit variance everywhere:
+    (a_0 + sum_k a_k cos(2 pi k x / L) + b_k sin(2 pi k x / L)) / sqrt(1 + waves), k = 1 ... waves.
+    Raises OptionError for a Courant number above 1, where the scheme is unstable.
+    """
+
+    cells: int = option(100, "number of cells n", minimum=2)
+    length: float = option(100.0, "length L of the circle in metres", above=0.0)
+    speed: float = option(1.0, "speed c in m/s, of either sign")
+    dt: float = option(1.0, "length of a step in seconds", above=0.0)
+    waves: int = option(10, "wave numbers in the first guess besides the constant", minimum=0)
+    error_sd: float = option(0.0, "standard deviation of the model error added to every cell in a step", minimum=0.0)
+
+    def __post_init__(self) -> None:
+        self.courant = abs(self.speed) * self.dt * self.cells / self.length
+        if self.courant > 1.0 + 1e-12:
+            raise OptionError(
+                f"model 'linear_advection': the Courant number |speed| dt cells / length must be at most 1, "
+                f"got {self.courant:.6g}"
+            )
+        self.x: Array = np.linspace(0.0, self.length, self.cells, endpoint=False)
+        self.space = StateSpace([Variable("u", self.cells, coordinates=self.x[:, np.newaxis], long_name="amplitude")])
+
+    def initial(self, n_members: int, rng: MemberStreams) -> Array:
+        """Return draws (N, n) of the random waves."""
+        phase = 2.0 * np.pi / self.length * np.outer(np.arange(1, self.waves + 1), self.x)
+        shapes = np.concatenate([np.ones((1, self.cells)), np.cos(phase), np.sin(phase)])
+        return rng.standard_normal((n_members, len(shapes))) @ shapes / np.sqrt(1.0 + self.waves)
+
+    def step(self, members: Array, t: float, rng: MemberStreams) -> Array:
+        """Return the members (N, n) at t + dt."""
+        upwind = np.roll(members, 1 if self.speed >= 0.0 else -1, axis=1)
+        # In this form C = 1 moves the numbers without rounding them.
+        moved = (1.0 - self.courant) * members + self.courant * upwind
+        return moved + self.error_sd * rng.standard_normal(members.shape) if self.error_sd else moved

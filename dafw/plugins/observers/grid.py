@@ -1,0 +1,60 @@
+"""Fixed entries of a state variable: all of them, every k-th or a given list; every step or every so often."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from dafw.core.ensemble import Route
+from dafw.core.errors import ConfigurationError
+from dafw.core.interfaces import Observer
+from dafw.core.observation import ObservationOperator, Selection
+from dafw.core.options import option
+from dafw.core.space import StateSpace
+
+
+@dataclass
+class Grid(Observer):
+    """The observer of studies without places or vehicles."""
+
+    variable: str | None = option(None, "state variable that is read; null: the first")
+    indices: list[int] = option([], "entries that are read, counted from 0; empty: by start and stride", minimum=0)
+    start: int = option(0, "first entry that is read", minimum=0)
+    stride: int = option(1, "distance to the next entry that is read; 1: all", minimum=1)
+    every: float | None = option(
+        None, "seconds from one reading to the next, the first after the first step; null: each step", above=0.0
+    )
+    noise_sd: float = option(1.0, "standard deviation of the readings' noise", above=0.0)
+    assumed_variance: float | None = option(None, "variance that the filter is told; null: noise_sd squared", above=0.0)
+
+    def operator(self, space: StateSpace, route: Route, t: float) -> ObservationOperator:
+        """Return the readings due in this step: all, or none. Raises ConfigurationError for an entry there is not."""
+        # A tenth of a millisecond forgives times that are sums of rounded steps.
+        due = self.every is None or (t + 1e-4) % self.every < 2e-4
+        indices = (*self.indices,) if self.indices else slice(self.start, None, self.stride)
+        variance = self.noise_sd**2
+        assumed = variance if self.assumed_variance is None else self.assumed_variance
+        return _selection(space, self.variable, indices if due else (), variance, assumed)
+
+
+@lru_cache(maxsize=16)
+def _selection(
+    space: StateSpace, name: str | None, wanted: tuple[int, ...] | slice, variance: float, assumed: float
+) -> Selection:
+    """Return the operator, made once and not in every step."""
+    variable = space.variables[0] if name is None else space[name]
+    last = wanted.start if isinstance(wanted, slice) else max(wanted, default=0)
+    if last >= variable.size:
+        raise ConfigurationError(
+            f"observer 'grid': variable '{variable.name}' has {variable.size} entries, there is no entry {last}"
+        )
+    places = np.arange(variable.size)
+    entries = places[wanted] if isinstance(wanted, slice) else places[list(wanted)]
+    return Selection(
+        indices=entries + space.slice(variable.name).start,
+        covariance=np.full(len(entries), assumed),
+        noise_covariance=np.full(len(entries), variance),
+        coordinates=None if variable.coordinates is None else variable.coordinates[entries],
+    )
