@@ -24,10 +24,12 @@ if TYPE_CHECKING:
     )
     from dafw.core.hookspecs import PluginSpec, hookimpl
     from dafw.core.interfaces import Filter, Model, Observer, Policy
-    from dafw.core.observation import Observation, ObservationOperator, Selection
+    from dafw.core.observation import Observation, ObservationOperator, Selection, colour, whiten
     from dafw.core.options import option
     from dafw.core.runs import open_run
     from dafw.core.space import ANGLE, FIELD, NONNEGATIVE, StateSpace, Variable
+    from dafw.plugins.models.function import model_from_function
+    from dafw.plugins.models.program import ProgramModel
     from dafw.running import run
 
 _HOMES = {
@@ -46,10 +48,12 @@ _HOMES = {
     ),
     "dafw.core.hookspecs": ("PluginSpec", "hookimpl"),
     "dafw.core.interfaces": ("Filter", "Model", "Observer", "Policy"),
-    "dafw.core.observation": ("Observation", "ObservationOperator", "Selection"),
+    "dafw.core.observation": ("Observation", "ObservationOperator", "Selection", "colour", "whiten"),
     "dafw.core.options": ("option",),
     "dafw.core.runs": ("open_run",),
     "dafw.core.space": ("ANGLE", "FIELD", "NONNEGATIVE", "StateSpace", "Variable"),
+    "dafw.plugins.models.function": ("model_from_function",),
+    "dafw.plugins.models.program": ("ProgramModel",),
     "dafw.running": ("run",),
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
@@ -75,6 +79,7 @@ __all__ = [
     "PluginError",
     "PluginSpec",
     "Policy",
+    "ProgramModel",
     "RequestError",
     "Route",
     "RunError",
@@ -84,10 +89,13 @@ __all__ = [
     "Step",
     "Variable",
     "Vehicle",
+    "colour",
     "hookimpl",
+    "model_from_function",
     "open_run",
     "option",
     "run",
+    "whiten",
 ]
 
 

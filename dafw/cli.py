@@ -17,6 +17,8 @@ usage: dafw COMMAND [...]
   run [-m] [experiment=NAME] [overrides]   run a study; -m runs every combination of the values given (a=1,2)
   plugins [--json] [NAME]                  list the plugins, or the options of those with this name
   plot RUN [RUN ...] [--out DIR]           draw the pictures of a run, or of several together
+  check NAME [NAME ...] | --all            hold plugins to what their interface promises
+  new-plugin KIND NAME DIR                 write a package with a plugin to start from, and its test
   doctor [--json]                          say what this machine lacks, and the command that installs it
 
 `dafw run --help` lists what can be chosen. Results go to outputs/NAME/TIME; the last line printed is the folder.
@@ -39,6 +41,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "plugins": _plugins,
         "plot": _plot,
         "doctor": _doctor,
+        "check": _check,
+        "new-plugin": _new_plugin,
     }
     if words[0] not in commands:
         return _refuse(f"unknown command '{words[0]}' (commands: {', '.join(commands)})")
@@ -46,8 +50,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return commands[words[0]](words[1:])
     except DafwError as error:
         return _refuse(" ".join(str(error).split()), error.exit_status)
-    except KeyboardInterrupt:
-        return _refuse("interrupted", 130)
+    except KeyboardInterrupt as stop:
+        return _refuse(f"interrupted: {stop}".removesuffix(": "), 130)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
@@ -79,13 +83,8 @@ def _plugins(words: list[str]) -> int:
     parser.add_argument("name", nargs="?", help="a plugin's name: list its options")
     parser.add_argument("--json", action="store_true", help="for machines")
     asked = parser.parse_args(words)
-    found = [plugin for plugin in registry().plugins() if asked.name in (None, plugin.spec.name)]
-    if not found:
-        known = ", ".join(sorted({plugin.spec.name for plugin in registry().plugins()}))
-        problems = "".join(f"; {problem.package}: {problem.message}" for problem in registry().problems)
-        raise PluginError(f"there is no plugin '{asked.name}' (there are: {known}){problems}")
     rows = []
-    for plugin in found:
+    for plugin in registry().named(asked.name) if asked.name else registry().plugins():
         row: dict[str, object] = {"kind": plugin.spec.kind, "name": plugin.spec.name, "package": plugin.package}
         row["summary"] = plugin.spec.summary
         if asked.name or asked.json:
@@ -128,6 +127,31 @@ def _doctor(words: list[str]) -> int:
     from dafw.doctor import doctor_command
 
     return doctor_command(asked.json)
+
+
+def _check(words: list[str]) -> int:
+    parser = _Parser(prog="dafw check", description="Hold plugins to what their interface promises.")
+    parser.add_argument("names", nargs="*", metavar="NAME", help="a plugin's name")
+    parser.add_argument("--all", action="store_true", help="every plugin that is installed")
+    asked = parser.parse_args(words)
+    if bool(asked.names) == asked.all:
+        parser.error("expected either names of plugins or --all")
+    from dafw.checking import check_command
+
+    return check_command(asked.names, everything=asked.all)
+
+
+def _new_plugin(words: list[str]) -> int:
+    parser = _Parser(prog="dafw new-plugin", description="Write a package with a plugin to start from, and its test.")
+    parser.add_argument("kind", help="model, observer, policy or filter")
+    parser.add_argument("name", help="the plugin's name: small letters, digits and '_'")
+    parser.add_argument("folder", type=Path, metavar="DIR", help="a folder that is not there yet")
+    asked = parser.parse_args(words)
+    from dafw.template import new_plugin
+
+    for path in new_plugin(asked.kind, asked.name, asked.folder):
+        print(path)
+    return 0
 
 
 if __name__ == "__main__":

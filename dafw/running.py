@@ -206,6 +206,8 @@ def _postfix(state: State, scores: Mapping[str, float]) -> str:
 
 
 def _log_domain(parts: Parts) -> None:
+    for note in parts.model.notes():
+        log.info("%s", note)
     log.info("state: %r", parts.model.space)
     if parts.model.domain is not None:
         log.info("domain: %s m, %d obstacles", parts.model.domain.bounds, len(parts.model.domain.obstacles))

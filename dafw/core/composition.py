@@ -123,16 +123,17 @@ def explained(error: BaseException) -> ConfigurationError:
             return OptionError(f"unknown option '{key}' (accepted: {', '.join(names) or 'none'})")
         return OptionError(f"option '{key}': {lines[0]}")
     if missing := re.search(r"Could not find '(\w+)/([^']+)'", str(root)):
-        return ConfigurationError(_unknown_choice(*missing.groups()))
+        return ConfigurationError(_unknown_choice(missing[1], missing[2], getattr(root, "options", None)))
     text = "; ".join(line for line in lines if not line.startswith(("full_key:", "object_type=", "reference_type=")))
     return ConfigurationError(f"{key}: {text}" if key and str(key) not in text else text)
 
 
-def _unknown_choice(group: str, name: str) -> str:
+def _unknown_choice(group: str, name: str, there_are: Sequence[str] | None) -> str:
+    """Say what there is instead: of plugins by the registry, of the rest by Hydra, whoever shipped it."""
     if group in KINDS:
         try:
-            registry().plugin_class(group, name)
+            registry().schema(group, name)
         except PluginError as error:
-            return str(error)
-    shipped = sorted(path.stem for path in (config_folder() / group).glob("*.yaml"))
-    return f"there is no {group} '{name}' (there are: {', '.join(shipped) or 'none'})"
+            shipped = sorted(set(there_are or ()) - set(registry().names(group)))
+            return str(error) + (f"; configured ones: {', '.join(shipped)}" if shipped else "")
+    return f"there is no {group} '{name}' (there are: {', '.join(sorted(there_are or ())) or 'none'})"

@@ -1,4 +1,11 @@
-"""The one hook: a package tells dafw which plugins it has. Entry-point group ``dafw``."""
+"""The one hook: a package tells dafw which plugins it has. Entry-point group ``dafw``.
+
+>>> @hookimpl
+... def dafw_plugins():
+...     return [PluginSpec("filter", "nudging", "acme.nudging:Nudging", "pulls towards the readings")]
+>>> dafw_plugins()[0].name
+'nudging'
+"""
 
 from __future__ import annotations
 

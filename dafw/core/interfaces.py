@@ -10,6 +10,8 @@ name ends in ``_with_memory``; one that does not never hears of it. Random numbe
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any, ClassVar
 
 import numpy as np
@@ -23,10 +25,20 @@ from dafw.core.space import Array, StateSpace
 
 
 class Plugin:
-    """What all four kinds share: their kind, and the name under which they were registered."""
+    """What all four kinds share: their kind, and the name under which they were registered.
+
+    ``expected_failures`` declares, by name and with a reason, the checks of ``dafw.testing`` that a plugin does not
+    mean to pass; docs/conformance.md lists the checks.
+    """
 
     kind: ClassVar[str]
+    expected_failures: ClassVar[Mapping[str, str]] = MappingProxyType({})
     name: str = ""
+
+    @classmethod
+    def check_options(cls) -> Mapping[str, Any]:
+        """Return the options under which ``dafw check`` makes the plugin: something small and quick."""
+        return {}
 
     @property
     def label(self) -> str:
@@ -51,6 +63,13 @@ class Model(Plugin):
 
     Authors set ``space`` and ``dt`` (seconds), and ``domain`` where the state has places, and define ``initial`` and
     ``step`` (or ``step_with_memory``).
+
+    >>> class Decay(Model):
+    ...     space, dt = StateSpace([Variable("level", 2)]), 1.0
+    ...     def initial(self, n_members, rng): return rng.standard_normal((n_members, 2))
+    ...     def step(self, members, t, rng): return 0.5 * members
+    >>> Decay().forecast(Ensemble([[2.0, 4.0]], Decay.space), None, None).ensemble.members
+    array([[1., 2.]])
     """
 
     kind = "model"
@@ -65,6 +84,10 @@ class Model(Plugin):
     def step(self, members: Array, t: float, rng: MemberStreams) -> Array:
         """Return the members (N, n) at t + dt, model error included."""
         raise NotImplementedError(f"{self.label} must define step(members, t, rng)")
+
+    def notes(self) -> list[str]:
+        """Return sentences for the log about what the model was made of."""
+        return []
 
     def initial_memory(self, members: Array) -> Memory | None:
         """Return what a step of these members (N, n) must be told; arrays have the members on axis 0."""
@@ -87,9 +110,22 @@ class Model(Plugin):
 
 
 class Observer(Plugin):
-    """What instruments would read, and how well."""
+    """What instruments would read, and how well.
+
+    >>> class First(Observer):
+    ...     def operator(self, space, route, t):
+    ...         return Selection(indices=np.array([0]), covariance=np.array([0.01]))
+    >>> space = StateSpace([Variable("level", 2)])
+    >>> First().look(space, Route(), 0.0).apply(np.array([[2.0, 4.0]]))
+    array([[2.]])
+    """
 
     kind = "observer"
+
+    @classmethod
+    def check_space(cls) -> StateSpace | None:
+        """Return a small state space that the checks use; None: their own, with ``concentration`` and a wind."""
+        return None
 
     def operator(self, space: StateSpace, route: Route, t: float) -> ObservationOperator:
         """Return H and R of the readings of a state in ``space`` taken along ``route``, which begins at t (seconds)."""
@@ -108,9 +144,22 @@ class Observer(Plugin):
 
 
 class Policy(Plugin):
-    """Where the instruments go next, knowing only the belief and the vehicle."""
+    """Where the instruments go next, knowing only the belief and the vehicle.
+
+    >>> class East(Policy):
+    ...     def decide(self, belief, vehicle, rng):
+    ...         return Route(tuple(np.array([p, p + [vehicle.reach, 0.0]]) for p in vehicle.positions))
+    >>> vehicle = Vehicle(np.array([[0.0, 0.0]]), speed=10.0)
+    >>> East().route(None, vehicle, None, None).ends
+    array([[10.,  0.]])
+    """
 
     kind = "policy"
+
+    @classmethod
+    def check_space(cls) -> StateSpace | None:
+        """Return a small state space that the checks use; None: their own, with ``concentration`` and a wind."""
+        return None
 
     def decide(self, belief: Ensemble, vehicle: Vehicle, rng: np.random.Generator) -> Route:
         """Return the route until the next decision."""
@@ -146,10 +195,27 @@ class Policy(Plugin):
 
 
 class Filter(Plugin):
-    """How the belief changes once the readings are in."""
+    """How the belief changes once the readings are in.
+
+    ``accuracy`` says how the mean and covariance of an analysis agree with the Kalman filter's where all is linear and
+    Gaussian: ``exact`` for the sample at hand, ``statistical`` in the limit of many members, or ``none``: no claim.
+    ``localization_option`` names the option that is the localization radius in metres, where there is one.
+
+    >>> class Midway(Filter):
+    ...     def analyse(self, forecast, predicted, observation, rng):
+    ...         missed = (observation.values - predicted).mean(axis=1, keepdims=True)
+    ...         return Analysis(forecast.space.retract(forecast.members, 0.5 * missed))
+    >>> belief = Ensemble([[0.0], [2.0]], StateSpace([Variable("level", 1)]))
+    >>> seen = Observation([3.0], Selection(indices=np.array([0]), covariance=np.array([1.0])))
+    >>> Midway().update(belief, np.array(belief.members), seen, None, None).members
+    array([[1.5],
+           [2.5]])
+    """
 
     kind = "filter"
     smallest_ensemble: ClassVar[int] = 2
+    accuracy: ClassVar[str] = "statistical"
+    localization_option: ClassVar[str | None] = None
 
     def analyse(
         self, forecast: Ensemble, predicted: Array, observation: Observation, rng: np.random.Generator

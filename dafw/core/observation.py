@@ -115,7 +115,12 @@ def colour(covariance: Array, rows: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """Readings ``values`` (m,) at a ``time`` (s), with the operator that made them."""
+    """Readings ``values`` (m,) at a ``time`` (s), with the operator that made them.
+
+    >>> seen = Observation([3.0], Selection(indices=np.array([0]), covariance=np.array([0.25])), time=2.0)
+    >>> seen.values, seen.covariance
+    (array([3.]), array([0.25]))
+    """
 
     values: Array
     operator: ObservationOperator

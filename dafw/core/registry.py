@@ -99,6 +99,14 @@ class Registry:
         """Return the names of one kind."""
         return sorted(name for k, name in self._plugins if k == kind)
 
+    def named(self, name: str) -> list[Registered]:
+        """Return the plugins of this name, of whatever kind; raises PluginError where there is none."""
+        found = [registered for registered in self.plugins() if registered.spec.name == name]
+        if not found:
+            known = sorted({registered.spec.name for registered in self.plugins()})
+            raise PluginError(f"there is no plugin '{name}' (there are: {', '.join(known)}){self._reasons()}")
+        return found
+
     def plugin_class(self, kind: str, name: str) -> type[Plugin]:
         """Import and return the class of a plugin; raises PluginError with the reason."""
         if (kind, name) not in self._plugins:

@@ -99,7 +99,7 @@ def _labels(files: Sequence[Path], runs: Sequence[Dataset]) -> list[str]:
 
 def _own_overrides(files: Sequence[Path]) -> list[str]:
     """Return what Hydra was told for each run and not for all of them: ``policy.theta=0.2``."""
-    import yaml  # type: ignore[import-untyped]
+    import yaml
 
     told = []
     for file in files:

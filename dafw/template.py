@@ -1,0 +1,188 @@
+"""``dafw new-plugin``: a package with one plugin that works, and a test that runs the conformance kit on it."""
+
+from __future__ import annotations
+
+import keyword
+from pathlib import Path
+from string import Template
+
+from dafw.core.errors import RequestError
+from dafw.core.registry import KINDS, registry
+
+PYPROJECT = """\
+[build-system]
+requires = ["hatchling"]
+build-backend = "hatchling.build"
+
+[project]
+name = "dafw-$dashed"
+version = "0.1.0"
+description = "The $kind '$name' for dafw"
+requires-python = ">=3.12"
+dependencies = ["dafw"]
+
+[project.entry-points.dafw]
+$name = "dafw_$name"
+
+[tool.hatch.build]
+dev-mode-dirs = ["."]
+
+[tool.hatch.build.targets.wheel]
+packages = ["dafw_$name"]
+"""
+
+PACKAGE = '''\
+"""The $kind '$name' for dafw."""
+
+from dafw import PluginSpec, hookimpl
+
+
+@hookimpl
+def dafw_plugins():
+    """Return the plugins of this package."""
+    return [PluginSpec("$kind", "$name", "dafw_$name.$name:$Class", "what it does")]
+'''
+
+TEST = '''\
+"""Every check of dafw's conformance kit, one test each."""
+
+import pytest
+
+
+@pytest.mark.dafw("$kind", "$name")
+def test_conforms(dafw_check):
+    dafw_check()
+'''
+
+MODEL = '''\
+"""A model to start from: every number decays towards zero."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dafw import Model, StateSpace, Variable, option
+
+
+@dataclass
+class $Class(Model):
+    """Exponential decay without model error."""
+
+    rate: float = option(0.1, "decay rate in 1/s", minimum=0.0)
+    dt: float = option(1.0, "time step in seconds", above=0.0)
+
+    def __post_init__(self):
+        self.space = StateSpace([Variable("level", 8, units="m")])
+
+    def initial(self, n_members, rng):
+        """Return draws (N, n) from the first guess."""
+        return 1.0 + rng.standard_normal((n_members, self.space.size))
+
+    def step(self, members, t, rng):
+        """Return the members (N, n) at t + dt."""
+        return members * np.exp(-self.rate * self.dt)
+'''
+
+OBSERVER = '''\
+"""An observer to start from: reads the first entry of the state's first variable."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dafw import Observer, Selection, option
+
+
+@dataclass
+class $Class(Observer):
+    """One instrument that reads at every step."""
+
+    noise_sd: float = option(0.1, "standard deviation of the readings' noise", above=0.0)
+
+    def operator(self, space, route, t):
+        """Return H and R of the one reading."""
+        return Selection(indices=np.array([0]), covariance=np.array([self.noise_sd**2]))
+'''
+
+POLICY = '''\
+"""A policy to start from: every vehicle flies a full step in a random direction, or stays where that is blocked."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dafw import Policy, Route, option
+
+
+@dataclass
+class $Class(Policy):
+    """A random walk."""
+
+    step: float = option(1.0, "share of what a vehicle can fly", minimum=0.0, maximum=1.0)
+
+    def decide(self, belief, vehicle, rng):
+        """Return the route until the next decision."""
+        paths = []
+        for position in vehicle.positions:
+            angle = rng.uniform(0.0, 2.0 * np.pi)
+            end = position + self.step * vehicle.reach * np.array([np.cos(angle), np.sin(angle)])
+            free = vehicle.airspace is None or vehicle.airspace.is_free(position, end)
+            paths.append(np.array([position, end if free else position]))
+        return Route(tuple(paths))
+'''
+
+FILTER = '''\
+"""A filter to start from: the stochastic ensemble Kalman filter."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dafw import Analysis, Filter, option, whiten
+
+
+@dataclass
+class $Class(Filter):
+    """Every member meets the readings with an error of its own."""
+
+    inflation: float = option(1.0, "factor on the forecast anomalies", minimum=1.0)
+
+    def analyse(self, forecast, predicted, observation, rng):
+        """Return members + (dy + e) Y^T (Y Y^T + (N - 1) I)^-1 A, in units of the readings' errors."""
+        seen = self.inflation * whiten(observation.covariance, predicted - predicted.mean(axis=0))
+        missed = whiten(observation.covariance, observation.values - predicted) + rng.standard_normal(seen.shape)
+        gain = np.linalg.solve(seen.T @ seen + (len(seen) - 1) * np.eye(seen.shape[1]), seen.T @ forecast.anomalies)
+        return Analysis(forecast.space.retract(forecast.members, self.inflation * missed @ gain))
+'''
+
+CODE = {"model": MODEL, "observer": OBSERVER, "policy": POLICY, "filter": FILTER}
+
+
+def new_plugin(kind: str, name: str, folder: Path) -> list[Path]:
+    """Write a package with one plugin into a folder that is not there yet, or empty; return its files.
+
+    Raises RequestError for a kind, a name or a folder that cannot be used; nothing is ever overwritten.
+    """
+    if kind not in KINDS:
+        raise RequestError(f"new-plugin: there is no kind '{kind}' (kinds: {', '.join(KINDS)})")
+    if not (name.isascii() and name.isidentifier() and name == name.lower()) or keyword.iskeyword(name):
+        raise RequestError(f"new-plugin: expected a name of small letters, digits and '_' like my_{kind}, got '{name}'")
+    if name in registry().names(kind):
+        raise RequestError(f"new-plugin: the {kind} '{name}' is there already; take another name")
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise RequestError(f"new-plugin: {folder} is there already and not empty; nothing was written")
+    class_name = "".join(part.capitalize() for part in name.split("_")) or name
+    words = {"kind": kind, "name": name, "dashed": name.replace("_", "-"), "Class": class_name}
+    contents = {
+        folder / "pyproject.toml": PYPROJECT,
+        folder / f"dafw_{name}" / "__init__.py": PACKAGE,
+        folder / f"dafw_{name}" / f"{name}.py": CODE[kind],
+        folder / "tests" / f"test_{name}.py": TEST,
+    }
+    try:
+        for path, text in contents.items():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(Template(text).substitute(words), encoding="utf-8")
+    except OSError as error:
+        raise RequestError(f"new-plugin: {folder} cannot be written: {error.strerror}") from error
+    return list(contents)

@@ -1,0 +1,55 @@
+"""A fresh environment with the built wheels of dafw and acme in it: what a user has, made offline, once a session."""
+
+from __future__ import annotations
+
+import atexit
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+import tempfile
+import venv
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+@dataclass(frozen=True)
+class Environment:
+    """An environment's ``bin`` folder, and running things with it."""
+
+    bin: Path
+
+    def run(
+        self, *words: str | Path, cwd: Path, path: Path | None = None, **more: str
+    ) -> subprocess.CompletedProcess[str]:
+        """Run a command of the environment; ``path``: a folder with further installed packages."""
+        surroundings = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "PYTEST_"))}
+        surroundings |= {"PATH": f"{self.bin}{os.pathsep}{os.environ['PATH']}", "OMP_NUM_THREADS": "1", **more}
+        # pip as it is meant to be used, but for the network: dependencies and build tools are there already.
+        offline = {"NO_INDEX": "1", "NO_DEPS": "1", "NO_BUILD_ISOLATION": "0", "DISABLE_PIP_VERSION_CHECK": "1"}
+        surroundings |= {f"PIP_{name}": value for name, value in offline.items()}
+        if path is not None:
+            surroundings["PYTHONPATH"] = str(path)
+        command = [str(self.bin / words[0]), *map(str, words[1:])] if words[0] != "sh" else [str(w) for w in words]
+        return subprocess.run(command, cwd=cwd, env=surroundings, capture_output=True, text=True, timeout=120)
+
+
+@cache
+def environment() -> Environment:
+    """Build the wheels of dafw and acme and install them into a new environment; its other packages are ours."""
+    folder = Path(tempfile.mkdtemp(prefix="dafw-fresh-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    for source in (ROOT, ROOT / "tests" / "acme"):
+        build = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder / "wheels")]
+        subprocess.run(build, cwd=source, check=True, capture_output=True, timeout=120)
+    venv.create(folder / "environment", with_pip=True)
+    fresh = Environment(folder / "environment" / "bin")
+    site = fresh.run("python", "-c", "import sysconfig; print(sysconfig.get_path('purelib'))", cwd=folder)
+    (Path(site.stdout.strip()) / "dependencies.pth").write_text(sysconfig.get_path("purelib") + "\n")
+    installed = fresh.run("python", "-m", "pip", "install", *(folder / "wheels").glob("*.whl"), cwd=folder)
+    assert installed.returncode == 0, installed.stderr
+    return fresh
