@@ -20,7 +20,8 @@ from omegaconf import DictConfig
 from dafw.core.composition import compose, config_folder, explained, register_schemas, single_runs, study_part
 from dafw.core.errors import ConfigurationError, DafwError
 from dafw.core.experiment import assemble, study_from
-from dafw.running import Interrupted, run_study
+from dafw.running import run_study
+from dafw.stopping import Interrupted
 
 
 def run_command(words: Sequence[str]) -> int:

@@ -5,11 +5,8 @@ from __future__ import annotations
 import json
 import logging
 import math
-import os
 import platform
-import signal
 import sys
-import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
@@ -24,15 +21,13 @@ from dafw.core.cycle import Cycle, Parts, State, advance, start
 from dafw.core.ensemble import Vehicle
 from dafw.core.errors import ConfigurationError, DafwError, RunError
 from dafw.core.experiment import Study, assemble
+from dafw.core.files import write_whole
 from dafw.core.record import Record
+from dafw.stopping import Interrupted, Stop, stop_signals
 
 log = logging.getLogger("dafw")
 VERSIONED = ("dafw", "numpy", "scipy", "dolfinx-solver-real", "gmsh", "netcdf4", "xarray", "hydra-core")
 LOG_SECONDS = 0.2
-
-
-class Interrupted(BaseException):
-    """The run was asked to stop (Ctrl-C or SIGTERM)."""
 
 
 def run_study(study: Study, folder: Path) -> dict[str, Any]:
@@ -49,7 +44,7 @@ def run_study(study: Study, folder: Path) -> dict[str, Any]:
     folder.mkdir(parents=True, exist_ok=True)
     run = _Run(study, folder, begun)
     # Bits that do not depend on the number of cores; and small matrices are quicker without threads.
-    with _log_file(folder / "run.log"), _stop_signals() as stop, threadpool_limits(limits=1, user_api="blas"):
+    with _log_file(folder / "run.log"), stop_signals() as stop, threadpool_limits(limits=1, user_api="blas"):
         try:
             run.cycles(parts, vehicle, stop)
             run.finish("complete")
@@ -79,7 +74,7 @@ class _Run:
         # Until it says otherwise, a run that leaves no word was cut off.
         self._write_summary("interrupted")
 
-    def cycles(self, parts: Parts, vehicle: Vehicle, stop: _Stop) -> None:
+    def cycles(self, parts: Parts, vehicle: Vehicle, stop: Stop) -> None:
         """Run all cycles; raises Interrupted between two of them."""
         log.info("study '%s', seed %d, %d members", self.study.name, self.study.seed, self.study.members)
         state = start(parts, self.study.members, vehicle)
@@ -144,16 +139,6 @@ class _Run:
         if error:
             self.summary["error"] = error
         write_whole(self.folder / "summary.json", json.dumps(self.summary, indent=2) + "\n")
-
-
-def write_whole(path: Path, text: str) -> None:
-    """Write a file so that it is there whole or not at all."""
-    beside = path.with_name(path.name + ".part")
-    with beside.open("w", encoding="utf-8") as file:
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
-    beside.replace(path)
 
 
 def _finite(value: float | None) -> float | None:
@@ -242,33 +227,6 @@ def _log_file(path: Path) -> Iterator[None]:
         log.removeHandler(handler)
         log.setLevel(previous)
         handler.close()
-
-
-class _Stop:
-    """Whether the run was asked to stop; it does so between two cycles, never while a file is being written."""
-
-    def __init__(self) -> None:
-        self.asked = False
-
-    def __call__(self, number: int, frame: Any) -> None:
-        if self.asked and number == signal.SIGINT:
-            raise KeyboardInterrupt  # the second Ctrl-C does not wait
-        self.asked = True
-
-
-@contextmanager
-def _stop_signals() -> Iterator[_Stop]:
-    """Let Ctrl-C and SIGTERM end a run after the cycle that it is in, with everything kept."""
-    stop = _Stop()
-    if threading.current_thread() is not threading.main_thread():
-        yield stop
-        return
-    previous = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield stop
-    finally:
-        for number, handler in previous.items():
-            signal.signal(number, handler)
 
 
 def run(overrides: list[str] | None = None) -> Any:

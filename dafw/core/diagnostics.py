@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import math
 
-from dafw.core.space import Array
+from dafw.core.ensemble import Ensemble
+from dafw.core.space import Array, StateSpace
+
+SCORES = ("err", "err_forecast", "err_free", "rmse", "spread")
 
 
 def relative_error(truth: Array, estimate: Array) -> float:
@@ -19,6 +22,20 @@ def relative_error(truth: Array, estimate: Array) -> float:
 def root_mean_square(values: Array) -> float:
     """Return the root of the mean of the squares of ``values`` (n,)."""
     return _norm(values) / math.sqrt(values.size)
+
+
+def scores(
+    space: StateSpace, truth: Array, belief: Ensemble, forecast: Ensemble | None, free: Ensemble | None
+) -> dict[str, float]:
+    """Return ``SCORES`` of the first variable of the state; NaN for what is missing. ``truth`` is (n,)."""
+    part = space.slice(space.variables[0].name)
+    return {
+        "err": relative_error(truth[part], belief.mean[part]),
+        "err_forecast": relative_error(truth[part], forecast.mean[part]) if forecast else float("nan"),
+        "err_free": relative_error(truth[part], free.members[0, part]) if free else float("nan"),
+        "rmse": root_mean_square(space.difference(belief.mean, truth)[part]),
+        "spread": root_mean_square(belief.spread[part]),
+    }
 
 
 def _norm(values: Array) -> float:

@@ -78,15 +78,23 @@ class Stacked(ObservationOperator):
 
 def stack(parts: tuple[ObservationOperator, ...]) -> ObservationOperator:
     """Return one operator for all parts, in their order."""
-    coordinates = [np.full((part.size, 2), np.nan) if part.coordinates is None else part.coordinates for part in parts]
+    coordinates = _stacked_coordinates(parts)
     covariance = _block_diagonal([part.covariance for part in parts])
     noise = _block_diagonal([part.noise for part in parts])
     if all(isinstance(part, Selection) for part in parts):
         indices = np.concatenate([part.indices for part in parts if isinstance(part, Selection)])
-        return Selection(
-            indices=indices, covariance=covariance, noise_covariance=noise, coordinates=np.concatenate(coordinates)
-        )
-    return Stacked(parts=parts, covariance=covariance, noise_covariance=noise, coordinates=np.concatenate(coordinates))
+        return Selection(indices=indices, covariance=covariance, noise_covariance=noise, coordinates=coordinates)
+    return Stacked(parts=parts, covariance=covariance, noise_covariance=noise, coordinates=coordinates)
+
+
+def _stacked_coordinates(parts: tuple[ObservationOperator, ...]) -> Array | None:
+    """Return the places (m, d) of all readings, NaN for those that have none; None where nothing has a place."""
+    placed = [part.coordinates for part in parts if part.coordinates is not None and part.size]
+    if not placed:
+        return None
+    nowhere = (np.full((part.size, placed[0].shape[1]), np.nan) for part in parts)
+    given = (part.coordinates if part.size else None for part in parts)
+    return np.concatenate([n if c is None else c for n, c in zip(nowhere, given, strict=True)])
 
 
 def _block_diagonal(blocks: list[Array]) -> Array:

@@ -16,16 +16,15 @@ from typing import Any
 import numpy as np
 
 from dafw.core.cycle import PHASES, Cycle, Parts, State
-from dafw.core.diagnostics import relative_error, root_mean_square
-from dafw.core.ensemble import Diagnostic, Ensemble
+from dafw.core.diagnostics import SCORES, scores
+from dafw.core.ensemble import Diagnostic
 from dafw.core.errors import ContractError, RunError
-from dafw.core.space import Array, Kind, StateSpace, Variable
+from dafw.core.space import Array, Kind, Variable
 from dafw.core.ugrid import write_domain
 
 FLUSH_SECONDS = 0.5
 CHUNK_NUMBERS = 4096
 SHORT_ROW = 64
-SCORES = ("err", "err_forecast", "err_free", "rmse", "spread")
 KIND_NOTES = {Kind.FIELD: "", Kind.NONNEGATIVE: "nonnegative", Kind.ANGLE: "angle in [0, 2 pi)"}
 STAGES = {
     "truth": "truth",
@@ -61,6 +60,7 @@ class Record:
         self._rows: list[dict[str, Any]] = []
         self._written = 0
         self._flushed = perf_counter()
+        self._recording = 0.0
         self.scored = self._space.variables[0].name
         self._file.setncatts({"Conventions": "CF-1.11 UGRID-1.0", "scored_variable": self.scored, **attributes})
         self._define_dimensions(len(state.belief.ensemble), len(state.vehicle.positions))
@@ -174,9 +174,11 @@ class Record:
 
     def append(self, cycle: Cycle) -> dict[str, float]:
         """Add a finished cycle; return its scores."""
+        begun = perf_counter()
         row = self._append(cycle.state, cycle, {})
         if perf_counter() - self._flushed > FLUSH_SECONDS:
             self.flush()
+        self._recording = perf_counter() - begun
         return {name: row[name] for name in SCORES}
 
     def _append(self, state: State, cycle: Cycle | None, row: dict[str, Any]) -> dict[str, Any]:
@@ -199,7 +201,7 @@ class Record:
             row[f"{name}_members"] = _squeeze(belief.members[:, self._space.slice(name)])
         row["time"] = belief.time
         row["vehicle_x"], row["vehicle_y"] = state.vehicle.positions.T
-        row |= _scores(self._space, truth.members[0], belief, forecast, free)
+        row |= scores(self._space, truth.members[0], belief, forecast, free)
         if cycle is not None:
             row |= self._cycle_row(cycle)
         self._rows.append(row)
@@ -208,11 +210,13 @@ class Record:
     def _cycle_row(self, cycle: Cycle) -> dict[str, Any]:
         operator = cycle.observation.operator
         covariance = cycle.observation.covariance
+        # How long recording took is known when it is done: the row after it says so.
+        seconds = cycle.seconds | {"record": self._recording}
         row: dict[str, Any] = {
             "observation_value": cycle.observation.values,
             "observation_forecast_mean": cycle.predicted.mean(axis=0),
             "observation_variance": covariance if covariance.ndim == 1 else np.diag(covariance),
-            "phase_seconds": [cycle.seconds.get(phase, np.nan) for phase in PHASES],
+            "phase_seconds": [seconds.get(phase, np.nan) for phase in PHASES],
         }
         if (indices := getattr(operator, "indices", None)) is not None:
             row["observation_node"] = np.where(indices < self._space.variables[0].size, indices, -1)
@@ -275,15 +279,3 @@ def _block(rows: list[Any], fill: Any, dtype: Any) -> Any:
 def _squeeze(values: Array) -> Array:
     """Return the values of a variable of size 1 without their last axis."""
     return values[..., 0] if values.shape[-1] == 1 else values
-
-
-def _scores(
-    space: StateSpace, truth: Array, belief: Ensemble, forecast: Ensemble | None, free: Ensemble | None
-) -> dict[str, float]:
-    part = space.slice(space.variables[0].name)
-    scores = {"err": relative_error(truth[part], belief.mean[part])}
-    scores["rmse"] = root_mean_square(space.difference(belief.mean, truth)[part])
-    scores["spread"] = root_mean_square(belief.spread[part])
-    scores["err_forecast"] = relative_error(truth[part], forecast.mean[part]) if forecast else float("nan")
-    scores["err_free"] = relative_error(truth[part], free.members[0, part]) if free else float("nan")
-    return scores

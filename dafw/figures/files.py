@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING
 from matplotlib.figure import Figure
 
 from dafw.core.errors import RunError
+from dafw.core.files import whole_file
 from dafw.core.runs import open_run
 from dafw.figures.contents import has_map, has_section, scalar_variables, scored_variable
 from dafw.figures.maps import plot_contours, plot_route
@@ -110,15 +110,8 @@ def _own_overrides(files: Sequence[Path]) -> list[str]:
 
 
 def _save(figure: Figure, file: Path) -> Path:
-    """Write beside, flush to disk, rename: an interrupted save leaves the former picture or none."""
+    """Write the picture; an interrupted save leaves the former one or none."""
     file.parent.mkdir(parents=True, exist_ok=True)
-    part = file.with_name(f".{file.name}.part")
-    try:
-        with part.open("wb") as stream:
-            figure.savefig(stream, format="png", dpi=RESOLUTION, bbox_inches="tight", pad_inches=0.08)
-            stream.flush()
-            os.fsync(stream.fileno())
-        part.replace(file)
-    finally:
-        part.unlink(missing_ok=True)
+    with whole_file(file) as stream:
+        figure.savefig(stream, format="png", dpi=RESOLUTION, bbox_inches="tight", pad_inches=0.08)
     return file

@@ -41,6 +41,14 @@ def test_stacked_selections_stay_a_selection():
     np.testing.assert_array_equal(stacked.coordinates, [[1, 2], [np.nan, np.nan], [np.nan, np.nan]])
 
 
+def test_places_of_any_dimension_are_stacked():
+    line = Selection(indices=np.array([0]), covariance=np.ones(1), coordinates=np.array([[7.0]]))
+    nowhere = Selection(indices=np.array([1]), covariance=np.ones(1))
+    none_due = Selection(indices=np.array([], dtype=int), covariance=np.ones(0), coordinates=np.empty((0, 2)))
+    np.testing.assert_array_equal(stack((nowhere, line, none_due)).coordinates, [[np.nan], [7.0]])
+    assert stack((nowhere, none_due)).coordinates is None
+
+
 def test_stacking_keeps_full_covariances_block_diagonal():
     stacked = stack((Selection(indices=np.array([0, 1]), covariance=FULL), Sum(covariance=np.array([4.0]))))
     assert isinstance(stacked, Stacked)

@@ -46,7 +46,7 @@ def transform(predicted_anomalies: Array, innovation: Array, covariance: Array) 
     Y = whiten(covariance, predicted_anomalies)  # noqa: N806
     dy = whiten(covariance, innovation)
     d, V = np.linalg.eigh(Y @ Y.T)  # noqa: N806
-    d += n_members - 1  # what adding (N - 1) I does
+    d = np.maximum(d, 0.0) + (n_members - 1)  # what adding (N - 1) I does; rounding alone makes d negative
     T = (V * np.sqrt((n_members - 1) / d)) @ V.T  # noqa: N806
     Lambda = (dy @ Y.T @ V / d) @ V.T  # noqa: N806
     return Lambda, T
