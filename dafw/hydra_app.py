@@ -7,10 +7,11 @@ configuration has code run that it names itself.
 from __future__ import annotations
 
 import os
+import shutil
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import hydra
 from hydra._internal.utils import get_args_parser
@@ -18,19 +19,24 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from dafw.core.composition import compose, config_folder, explained, register_schemas, single_runs, study_part
-from dafw.core.errors import ConfigurationError, DafwError
+from dafw.core.errors import ComputationError, ConfigurationError, DafwError
 from dafw.core.experiment import assemble, study_from
-from dafw.running import run_study
+from dafw.running import refuse_run, run_study
 from dafw.stopping import Interrupted
+
+STATUSES = ".status"
+"""Folder in a sweep where its jobs leave their exit statuses until it is done."""
 
 
 def run_command(words: Sequence[str]) -> int:
     """Run ``dafw run WORDS``; raises DafwError."""
-    try:
-        asked = get_args_parser().parse_intermixed_args(list(words))
-    except SystemExit as stop:
-        # argparse has printed what it had to say: the version, or which flag is wrong.
-        return 2 if stop.code else 0
+    parser = get_args_parser()
+    parser.error = _refuse  # type: ignore[method-assign]  # argparse would print its usage and exit
+    asked = parser.parse_intermixed_args(list(words))
+    if asked.config_path:
+        raise ConfigurationError(
+            "--config-path would replace what dafw ships; add a folder of your own by --config-dir"
+        )
     # Hydra itself wants the flags first.
     words = [word for word in words if word not in asked.overrides] + asked.overrides
     folder = Path(asked.config_dir).resolve() if asked.config_dir else None
@@ -38,38 +44,49 @@ def run_command(words: Sequence[str]) -> int:
         raise ConfigurationError(f"--config-dir {asked.config_dir}: there is no such folder")
     shown = asked.help or asked.hydra_help or asked.cfg or asked.info or asked.shell_completion
     directories = [f"hydra.searchpath=[file://{folder}]"] if folder else []
+    sweep, jobs = None, list(single_runs(asked.overrides)) if asked.multirun else [list(asked.overrides)]
     if not shown:
-        placed = set()
-        for job in single_runs(asked.overrides) if asked.multirun else [list(asked.overrides)]:
-            study = study_from(study_part(compose([*job, *directories], name=asked.config_name or "config")))
+        placed: set[str] = set()
+        for number, job in enumerate(jobs):
+            if job in jobs[:number]:
+                raise ConfigurationError(f"the multirun has the same job twice: {' '.join(job)}")
+            config = compose([*job, *directories], name=asked.config_name or "config")
+            if config.hydra.job.chdir:
+                raise ConfigurationError("hydra.job.chdir would move relative paths: it is not supported")
+            if not asked.multirun:
+                refuse_run(Path(config.hydra.run.dir))
+            study = study_from(study_part(config))
             # Building the parts shows what only a site or a mesh can tell; once for each place is enough.
-            place = repr((study.model, study.truth, study.free, study.vehicle))
+            place = repr(
+                (study.model, study.truth, study.free, study.vehicle, study.observer, study.policy, study.section)
+            )
             if place not in placed:
                 assemble(study)
                 placed.add(place)
-    return _launch(list(words), multirun=bool(asked.multirun and not shown))
+            if asked.multirun and sweep is None:
+                sweep = Path(config.hydra.sweep.dir).resolve()
+    return _launch(list(words), sweep, len(jobs))
 
 
-def _launch(words: list[str], *, multirun: bool) -> int:
-    """Hand over to Hydra; return the exit status of the job, or of the worst of them."""
+def _refuse(message: str) -> NoReturn:
+    raise ConfigurationError(f"run: {message}")
+
+
+def _launch(words: list[str], sweep: Path | None, jobs: int) -> int:
+    """Hand over to Hydra; return the exit status of the job, or of the worst of those of a sweep into a folder."""
     register_schemas()
     statuses: list[int] = []
-    folders: list[str] = []
+    if sweep is not None:
+        words = [*words, _override("hydra.sweep.dir", sweep)]
 
     def job(config: DictConfig) -> None:
         hydra_config = HydraConfig.get()
-        folders.append(hydra_config.sweep.dir if multirun else hydra_config.runtime.output_dir)
-        try:
-            summary = run_study(study_from(study_part(config)), Path(hydra_config.runtime.output_dir))
-        except DafwError as error:
-            print(f"dafw: {' '.join(str(error).split())}", file=sys.stderr)
-            statuses.append(error.exit_status)
-            return
-        except Interrupted as stop:
-            raise KeyboardInterrupt(str(stop)) from stop
-        statuses.append(0)
-        print(closing_line(summary))
-        print(hydra_config.runtime.output_dir)
+        status = _run_job(config, Path(hydra_config.runtime.output_dir))
+        if sweep is None:
+            statuses.append(status)
+        else:  # a launcher may run the job in another process, on another machine
+            (sweep / STATUSES).mkdir(exist_ok=True)
+            (sweep / STATUSES / str(hydra_config.job.num)).write_text(str(status))
 
     # Hydra would turn errors into its own text and status.
     os.environ["HYDRA_FULL_ERROR"] = "1"
@@ -78,11 +95,42 @@ def _launch(words: list[str], *, multirun: bool) -> int:
         hydra.main(version_base="1.3", config_path=str(config_folder()), config_name="config")(job)()
     except (hydra.errors.HydraException, hydra.errors.ConfigCompositionException) as error:
         raise explained(error) from error
+    except Exception as error:
+        if sweep is None:
+            raise
+        what = f"{type(error).__name__}: {error}"
+        raise ComputationError(f"the launcher of the sweep failed: {what}; what is done is in {sweep}") from error
     finally:
         sys.argv = previous
-    if multirun and folders:
-        print(Path(folders[0]).resolve())
+    if sweep is not None:
+        for left in sorted((sweep / STATUSES).glob("*")):
+            statuses.append(int(left.read_text()))
+        shutil.rmtree(sweep / STATUSES, ignore_errors=True)
+        if len(statuses) < jobs:
+            print(f"dafw: {jobs - len(statuses)} of {jobs} runs left no word of how they ended", file=sys.stderr)
+            statuses.append(1)
+        print(sweep)
     return max(statuses, default=0)
+
+
+def _override(key: str, value: Path) -> str:
+    """Return an override in Hydra's grammar, quoted."""
+    quoted = str(value).replace("\\", "\\\\").replace("'", "\\'")
+    return f"{key}='{quoted}'"
+
+
+def _run_job(config: DictConfig, folder: Path) -> int:
+    """Run one study into its folder, say how it went, and return the exit status."""
+    try:
+        summary = run_study(study_from(study_part(config)), folder)
+    except DafwError as error:
+        print(f"dafw: {' '.join(str(error).split())}", file=sys.stderr)
+        return error.exit_status
+    except Interrupted as stop:
+        raise KeyboardInterrupt(str(stop)) from stop
+    print(closing_line(summary))
+    print(folder, flush=True)
+    return 0
 
 
 def closing_line(summary: dict[str, Any]) -> str:

@@ -19,15 +19,16 @@ from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from dafw.core.cycle import Cycle, Parts, State, advance, start
 from dafw.core.ensemble import Vehicle
-from dafw.core.errors import ConfigurationError, DafwError, RunError
+from dafw.core.errors import ConfigurationError, DafwError, RecordError, RunError
 from dafw.core.experiment import Study, assemble
-from dafw.core.files import write_whole
+from dafw.core.files import claim, write_whole
 from dafw.core.record import Record
 from dafw.stopping import Interrupted, Stop, stop_signals
 
 log = logging.getLogger("dafw")
 VERSIONED = ("dafw", "numpy", "scipy", "dolfinx-solver-real", "gmsh", "netcdf4", "xarray", "hydra-core")
 LOG_SECONDS = 0.2
+SUMMARY_SECONDS = 10.0
 
 
 def run_study(study: Study, folder: Path) -> dict[str, Any]:
@@ -36,8 +37,7 @@ def run_study(study: Study, folder: Path) -> dict[str, Any]:
     Whatever happens, the cycles that were finished stay in ``run.nc`` and ``summary.json`` says how it ended. Raises
     RunError where the folder holds a run already, DafwError where a computation failed, Interrupted.
     """
-    if (folder / "run.nc").exists():
-        raise RunError(f"{folder}: holds a run already; nothing was changed")
+    refuse_run(folder)
     begun = perf_counter()
     # A wrong request shows here, before anything is written.
     parts, vehicle = assemble(study)
@@ -46,18 +46,31 @@ def run_study(study: Study, folder: Path) -> dict[str, Any]:
     # Bits that do not depend on the number of cores; and small matrices are quicker without threads.
     with _log_file(folder / "run.log"), stop_signals() as stop, threadpool_limits(limits=1, user_api="blas"):
         try:
-            run.cycles(parts, vehicle, stop)
+            with parts.executor:
+                run.cycles(parts, vehicle, stop)
             run.finish("complete")
         except DafwError as error:
             run.finish("failed", str(error))
             kept = f"; {run.done} of {study.cycles} cycles are kept in {folder}" if run.done else ""
             raise type(error)(f"{error}{kept}") from error
+        except (OSError, RuntimeError) as error:
+            # netCDF's own errors: a full disk, say. What was synchronised may be lost with it.
+            run.finish("failed", f"{type(error).__name__}: {error}")
+            raise RecordError(f"{folder}: the run cannot be written ({type(error).__name__}: {error})") from error
         except (Interrupted, KeyboardInterrupt):
             run.finish("interrupted")
             raise Interrupted(f"{run.done} of {study.cycles} cycles are kept in {folder}") from None
-        if study.pictures:
+        if study.pictures and not stop.asked:
             _draw(folder)
+        if stop.asked:
+            raise Interrupted(f"all {run.done} cycles are kept in {folder}")
     return run.summary
+
+
+def refuse_run(folder: Path) -> None:
+    """Raise RunError where a folder holds a run already."""
+    if (folder / "run.nc").exists() or (folder / "summary.json").exists():
+        raise RunError(f"{folder}: holds a run already; nothing was changed")
 
 
 class _Run:
@@ -72,11 +85,14 @@ class _Run:
         self.record: Record | None = None
         self.summary: dict[str, Any] = {}
         # Until it says otherwise, a run that leaves no word was cut off.
+        self.noted = perf_counter()
+        claim(folder / "summary.json")
         self._write_summary("interrupted")
 
     def cycles(self, parts: Parts, vehicle: Vehicle, stop: Stop) -> None:
         """Run all cycles; raises Interrupted between two of them."""
         log.info("study '%s', seed %d, %d members", self.study.name, self.study.seed, self.study.members)
+        parts.executor.start(parts.model, self.study.model)
         state = start(parts, self.study.members, vehicle)
         self.seconds["set-up"] = perf_counter() - self.begun
         _log_domain(parts)
@@ -110,14 +126,20 @@ class _Run:
                     log.info("%s", _sentence(cycle, self.scores))
                 bar.set_postfix_str(_postfix(state, self.scores), refresh=False)
                 bar.update()
+                if perf_counter() - self.noted > SUMMARY_SECONDS:
+                    self.noted = perf_counter()
+                    self._write_summary("interrupted")
                 if stop.asked and self.done < self.study.cycles:
                     raise Interrupted
         self.parameters = _parameters(parts, state)
 
     def finish(self, status: str, error: str = "") -> None:
         """Close the record and say how the run ended."""
-        if self.record is not None:
-            self.record.close()
+        try:
+            if self.record is not None:
+                self.record.close()
+        except (OSError, RuntimeError) as failure:
+            status, error = "failed", error or f"run.nc cannot be closed: {failure}"
         self._write_summary(status, error)
         log.info("%s after %d of %d cycles %s", status, self.done, self.study.cycles, error)
 
@@ -127,6 +149,7 @@ class _Run:
             "name": self.study.name,
             "seed": self.study.seed,
             "members": self.study.members,
+            "executor": self.study.executor,
             "cycles": self.done,
             "cycles_wanted": self.study.cycles,
             "err_final": _finite(self.scores.get("err")),
@@ -208,9 +231,13 @@ def _draw(folder: Path) -> None:
     from dafw.core.runs import open_run
     from dafw.figures import draw_all
 
-    with open_run(folder) as run:
-        for path in draw_all(run, folder / "figures"):
-            log.info("picture %s", path.name)
+    try:
+        with open_run(folder) as run:
+            for path in draw_all(run, folder / "figures"):
+                log.info("picture %s", path.name)
+    except DafwError as error:
+        log.warning("a picture cannot be drawn: %s", error)
+        print(f"dafw: the run is complete, but a picture cannot be drawn: {error}", file=sys.stderr)
 
 
 @contextmanager
@@ -241,8 +268,8 @@ def run(overrides: list[str] | None = None) -> Any:
     from dafw.core.experiment import study_from
     from dafw.core.runs import open_run
 
-    if isinstance(overrides, str):
-        raise ConfigurationError(f"overrides must be a list of strings, got the string {overrides!r}")
+    if isinstance(overrides, str) or not all(isinstance(override, str) for override in overrides or []):
+        raise ConfigurationError(f"overrides must be a list of strings, got {overrides!r}")
     config = compose(overrides or [])
     study = study_from(study_part(config))
     folder = Path(config.hydra.run.dir).resolve()

@@ -23,11 +23,17 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from dafw.core.errors import ConfigurationError, OptionError, PluginError
+from dafw.core.executors import EXECUTORS, executor_class
 from dafw.core.experiment import Study
 from dafw.core.options import schema
 from dafw.core.registry import KINDS, registry
 
-HARMLESS = re.compile(r"hydra\._internal\.|hydra_plugins\.|hydra\.core\.|logging\.|colorlog\.")
+# Launchers and sweepers that are installed as Hydra plugins, and the plain handlers of logging: nothing else by name.
+HARMLESS = re.compile(
+    r"hydra\._internal\.core_plugins\.basic_(launcher|sweeper)\.Basic(Launcher|Sweeper)"
+    r"|hydra_plugins\.\w+\.\w+\.\w+(Launcher|Sweeper)"
+    r"|logging\.(StreamHandler|FileHandler|NullHandler|Formatter)|colorlog\.ColoredFormatter"
+)
 
 
 def config_folder() -> Path:
@@ -41,6 +47,8 @@ def register_schemas() -> None:
     """Tell Hydra about the study and every plugin that can be imported."""
     store = ConfigStore.instance()
     store.store(name="study", node=schema(Study))
+    for name in EXECUTORS:
+        store.store(group="executor", name=name, node=schema(executor_class(name), name=name), provider="dafw")
     for registered in registry().plugins():
         try:
             node = registry().schema(registered.spec.kind, registered.spec.name)
@@ -93,7 +101,7 @@ def refuse_code(config: DictConfig) -> None:
     container = OmegaConf.to_container(config, resolve=False)
     for path, key, value in _entries(container, ""):
         names_code = key in ("_target_", "()") or (key == "class" and "_logging." in path)
-        if names_code and not (path.startswith("hydra.") and HARMLESS.match(str(value))):
+        if names_code and not (path.startswith("hydra.") and HARMLESS.fullmatch(str(value))):
             raise ConfigurationError(f"{path}: a configuration may not name code to be run, got {value!r}")
 
 
@@ -124,6 +132,9 @@ def explained(error: BaseException) -> ConfigurationError:
         return OptionError(f"option '{key}': {lines[0]}")
     if missing := re.search(r"Could not find '(\w+)/([^']+)'", str(root)):
         return ConfigurationError(_unknown_choice(missing[1], missing[2], getattr(root, "options", None)))
+    if "not in struct" in str(root) and key:
+        hint = f"to add an entry to a mapping write +{key}=VALUE; a study of your own parts starts with '~experiment'"
+        return ConfigurationError(f"there is no '{key}' here ({hint})")
     text = "; ".join(line for line in lines if not line.startswith(("full_key:", "object_type=", "reference_type=")))
     return ConfigurationError(f"{key}: {text}" if key and str(key) not in text else text)
 

@@ -20,6 +20,8 @@ from time import perf_counter
 
 from dafw.core.ensemble import Diagnostics, Ensemble, Forecast, Memory, Route, Vehicle
 from dafw.core.errors import ComputationError, DafwError
+from dafw.core.executors import Executor
+from dafw.core.executors.serial import Serial
 from dafw.core.interfaces import Filter, Model, Observer, Plugin, Policy
 from dafw.core.observation import Observation, colour
 from dafw.core.rng import Streams
@@ -30,7 +32,10 @@ PHASES = ("decide", "forecast", "truth", "free", "observe", "analyse", "record")
 
 @dataclass(frozen=True)
 class Parts:
-    """What a study is composed of; ``truth`` and ``free`` are models of one state space, ``free`` may be absent."""
+    """What a study is composed of; ``truth`` and ``free`` are models of one state space, ``free`` may be absent.
+
+    ``executor`` steps the members of the belief; the truth and the free run are stepped here.
+    """
 
     model: Model
     truth: Model
@@ -39,6 +44,7 @@ class Parts:
     policy: Policy
     filter: Filter
     streams: Streams
+    executor: Executor = field(default_factory=Serial)
 
 
 @dataclass(frozen=True)
@@ -85,7 +91,7 @@ class _Clock:
             raise ComputationError(
                 f"at t = {self.time:g} s, phase '{name}': {plugin.label} raised {type(error).__name__}: {error}"
             ) from error
-        self.seconds[name] = perf_counter() - start
+        self.seconds[name] = self.seconds.get(name, 0.0) + perf_counter() - start
 
 
 def start(parts: Parts, n_members: int, vehicle: Vehicle) -> State:
@@ -97,14 +103,18 @@ def start(parts: Parts, n_members: int, vehicle: Vehicle) -> State:
     with clock.phase("initial", parts.model):
         belief = parts.model.first_guess(n_members, streams.members("initial belief", 0))
         free = parts.free.first_guess(1, streams.members("initial free", 0)) if parts.free else None
+    with clock.phase("initial", parts.policy):
+        policy_memory = parts.policy.initial_memory(vehicle)
+    with clock.phase("initial", parts.filter):
+        filter_memory = parts.filter.initial_memory(n_members)
     return State(
         cycle=0,
         belief=belief,
         truth=truth,
         free=free,
         vehicle=vehicle,
-        policy_memory=parts.policy.initial_memory(vehicle),
-        filter_memory=parts.filter.initial_memory(n_members),
+        policy_memory=policy_memory,
+        filter_memory=filter_memory,
     )
 
 
@@ -120,19 +130,21 @@ def advance(parts: Parts, state: State) -> Cycle:
     with clock.phase("observe", parts.observer):
         operator = parts.observer.look(parts.model.space, route, belief.ensemble.time)
     with clock.phase("forecast", parts.model):
-        forecast = parts.model.forecast(belief.ensemble, belief.memory, streams.members("model error", cycle))
+        errors, members, now = streams.members("model error", cycle), belief.ensemble.members, belief.ensemble.time
+        stepped = parts.executor.submit(parts.model, members, belief.memory, now, errors)
+    # While workers are at it, this process has the truth and the free run.
     with clock.phase("truth", parts.truth):
         truth = parts.truth.forecast(truth.ensemble, truth.memory, streams.members("truth error", cycle))
     if parts.free and free:
         with clock.phase("free", parts.free):
             free = parts.free.forecast(free.ensemble, free.memory, streams.members("free error", cycle))
-    looked = clock.seconds["observe"]
+    with clock.phase("forecast", parts.model):
+        forecast = parts.model.forecast(belief.ensemble, belief.memory, errors, stepped)
     with clock.phase("observe", parts.observer):
         noise = colour(operator.noise, streams.generator("observation noise", cycle).standard_normal(operator.size))
         readings = parts.observer.read(operator, truth.ensemble)[0] + noise
         observation = Observation(readings, operator, forecast.ensemble.time)
         predicted = parts.observer.read(operator, forecast.ensemble)
-    clock.seconds["observe"] += looked
     with clock.phase("analyse", parts.filter):
         generator = streams.generator("filter", cycle)
         analysis = parts.filter.update(forecast.ensemble, predicted, observation, state.filter_memory, generator)

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import ClassVar
 
 
 class DafwError(Exception):
-    """Everything that dafw raises on purpose."""
+    """Everything that dafw raises on purpose; ``member`` is the number of the member it was about, where it was one."""
 
     exit_status: ClassVar[int] = 1
+    member: int | None = None
+
+    def __str__(self) -> str:
+        text = super().__str__()
+        return text if self.member is None else f"member {self.member}: {text}"
 
 
 class RequestError(DafwError):
@@ -45,5 +52,20 @@ class ContractError(ComputationError):
     """A plugin broke its interface: wrong shape, non-finite numbers, changed inputs. The message names the plugin."""
 
 
+class RecordError(ComputationError):
+    """A run cannot be written on: the disk is full, say."""
+
+
 class SolverError(ComputationError):
     """A solver did not reach its tolerance; its result must not be used."""
+
+
+@contextmanager
+def about_member(member: int) -> Iterator[None]:
+    """Have errors say which member of the ensemble they are about, counted in what a model was handed."""
+    try:
+        yield
+    except DafwError as error:
+        if error.member is None:
+            error.member = member
+        raise

@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -13,12 +14,15 @@ from typing import Any
 import numpy as np
 
 from dafw.core.cycle import Parts
-from dafw.core.ensemble import Vehicle
+from dafw.core.ensemble import Route, Vehicle
 from dafw.core.errors import ConfigurationError
+from dafw.core.executors import make_executor
 from dafw.core.interfaces import Filter, Model, Observer, Policy
-from dafw.core.options import build, option
+from dafw.core.options import build, merged, option
 from dafw.core.registry import KINDS, registry
 from dafw.core.rng import Streams
+
+NAME = re.compile(r"[\w.-]{1,100}")
 
 
 @dataclass
@@ -43,7 +47,7 @@ class Study:
     """Everything that a study's configuration may say."""
 
     name: str = option("study", "name of the study, for folders and titles")
-    seed: int = option(0, "seed of every random stream", minimum=0)
+    seed: int = option(0, "seed of every random stream", minimum=0, maximum=2**63 - 1)
     members: int = option(10, "number N of ensemble members", minimum=1)
     cycles: int = option(100, "number of cycles", minimum=1)
     model: dict[str, Any] = option({}, "the model's name and options")
@@ -52,19 +56,11 @@ class Study:
     observer: dict[str, Any] = option({}, "the observer's name and options")
     policy: dict[str, Any] = option({}, "the policy's name and options")
     filter: dict[str, Any] = option({}, "the filter's name and options")
+    executor: dict[str, Any] = option({"name": "serial"}, "the name and options of what steps the members")
     vehicle: VehicleOptions = field(default_factory=VehicleOptions)
     record: RecordOptions = field(default_factory=RecordOptions)
     section: list[list[float]] = option([], "corners [[x, y], ...] of the polyline of the section picture, in metres")
     pictures: bool = option(True, "draw the pictures at the end")
-
-
-def merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Return ``base`` with ``changes`` laid over it, nested mappings entry by entry."""
-    result = dict(base)
-    for name, value in changes.items():
-        old = result.get(name)
-        result[name] = merged(old, value) if isinstance(old, Mapping) and isinstance(value, Mapping) else value
-    return result
 
 
 def _variant(model: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
@@ -78,8 +74,13 @@ def study_from(config: Mapping[str, Any]) -> Study:
     for label, points in (("vehicle.start", study.vehicle.start), ("section", study.section)):
         if any(len(point) != 2 for point in points):
             raise ConfigurationError(f"{label} must be [[x, y], ...] in metres, got {points}")
+    if len(study.section) == 1:
+        raise ConfigurationError(f"section needs two corners or more, got {study.section}")
+    if not NAME.fullmatch(study.name):
+        raise ConfigurationError(f"name must be of letters, digits and . _ - (it names a folder), got '{study.name}'")
     for kind in KINDS:
         registry().create(kind, getattr(study, kind))
+    make_executor(study.executor)
     _models(study)
     registry().create("filter", study.filter).require_members(study.members)
     return study
@@ -102,15 +103,16 @@ def assemble(study: Study) -> tuple[Parts, Vehicle]:
     """Build the parts of a cycle and place the vehicles; raises a DafwError that names the plugin."""
     model, truth, free = _models(study)
     for label, other in (("truth", truth), ("free run", free)):
-        if other is not None and (other.space.size, other.dt) != (model.space.size, model.dt):
+        if other is not None and not (other.space.agrees(model.space) and other.dt == model.dt):
             raise ConfigurationError(
-                f"the {label} has {other.space.size} numbers and dt = {other.dt:g} s, "
-                f"the model {model.space.size} and {model.dt:g} s: they must agree"
+                f"the {label} has {other.space!r} and dt = {other.dt:g} s, "
+                f"the model {model.space!r} and {model.dt:g} s: they must agree, in their coordinates too"
             )
     observer: Observer = registry().create("observer", study.observer)
     policy: Policy = registry().create("policy", study.policy)
     filter_: Filter = registry().create("filter", study.filter)
-    parts = Parts(model, truth, free, observer, policy, filter_, Streams(study.seed))
+    executor = make_executor(study.executor)
+    parts = Parts(model, truth, free, observer, policy, filter_, Streams(study.seed), executor)
     positions = np.array(study.vehicle.start, dtype=np.float64).reshape(-1, 2)
     for number, position in enumerate(positions):
         if model.domain is not None and not model.domain.is_free(position, position):
@@ -118,4 +120,12 @@ def assemble(study: Study) -> tuple[Parts, Vehicle]:
                 f"vehicle {number} cannot start at {position.tolist()}: that is inside a building or outside the "
                 f"domain {[round(bound, 1) for bound in model.domain.bounds]}"
             )
-    return parts, Vehicle(positions, study.vehicle.speed, model.dt, model.domain)
+    for corner in study.section:
+        if model.domain is not None and not model.domain.contains(np.array(corner)):
+            raise ConfigurationError(f"the section's corner {corner} lies outside the domain {model.domain.bounds}")
+    vehicle = Vehicle(positions, study.vehicle.speed, model.dt, model.domain)
+    observer.suit(model.space, model.dt)
+    observer.look(model.space, Route.hover(vehicle), 0.0)
+    policy.suit(model.space)
+    filter_.suit(model.space, study.members)
+    return parts, vehicle

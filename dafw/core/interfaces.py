@@ -10,14 +10,15 @@ name ends in ``_with_memory``; one that does not never hears of it. Random numbe
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from itertools import pairwise
 from types import MappingProxyType
 from typing import Any, ClassVar
 
 import numpy as np
 
 from dafw.core.domain import Domain
-from dafw.core.ensemble import Analysis, Ensemble, Forecast, Memory, Route, Step, Vehicle
+from dafw.core.ensemble import Analysis, Diagnostic, Diagnostics, Ensemble, Forecast, Memory, Route, Step, Vehicle
 from dafw.core.errors import ConfigurationError, ContractError
 from dafw.core.observation import Observation, ObservationOperator
 from dafw.core.rng import MemberStreams
@@ -57,6 +58,18 @@ class Plugin:
             raise ContractError(f"{self.label}: {what} holds {values[place]} at {place}")
         return values.astype(np.float64, copy=False)
 
+    def checked_diagnostics(self, diagnostics: Diagnostics) -> None:
+        """Raise ContractError where a diagnostic is not made of real numbers with a name for every axis."""
+        for name, diagnostic in diagnostics.items():
+            if not isinstance(diagnostic, Diagnostic):
+                raise ContractError(f"{self.label}: '{name}' must be a Diagnostic, got {type(diagnostic).__name__}")
+            values = np.asarray(diagnostic.values)
+            if values.dtype.kind not in "fiub" or values.ndim != len(diagnostic.dims):
+                raise ContractError(
+                    f"{self.label}: diagnostic '{name}' must hold numbers with one of its dims {diagnostic.dims} for "
+                    f"each axis, got the type {values.dtype} and the shape {values.shape}"
+                )
+
 
 class Model(Plugin):
     """How the state evolves from t to t + dt, and what a first guess of it is.
@@ -89,6 +102,13 @@ class Model(Plugin):
         """Return sentences for the log about what the model was made of."""
         return []
 
+    def pinned_options(self) -> Mapping[str, Any]:
+        """Return options to lay over the configured ones so that other processes make the very same model.
+
+        That is what a configuration leaves open: "the newest basis" is by now one of a certain name.
+        """
+        return {}
+
     def initial_memory(self, members: Array) -> Memory | None:
         """Return what a step of these members (N, n) must be told; arrays have the members on axis 0."""
         return None
@@ -102,10 +122,20 @@ class Model(Plugin):
         members = self.checked(self.initial(n_members, rng), (n_members, self.space.size), "initial members")
         return Forecast(Ensemble(members, self.space), self.initial_memory(members))
 
-    def forecast(self, ensemble: Ensemble, memory: Memory | None, rng: MemberStreams) -> Forecast:
-        """Step the ensemble by dt; raises ContractError where shape or numbers are not as agreed."""
-        step = self.step_with_memory(ensemble.members, memory, ensemble.time, rng)
+    def forecast(
+        self,
+        ensemble: Ensemble,
+        memory: Memory | None,
+        rng: MemberStreams,
+        stepped: Callable[[], Step] | None = None,
+    ) -> Forecast:
+        """Step the ensemble by dt; raises ContractError where shape or numbers are not as agreed.
+
+        ``stepped`` gives the step where an executor has it done.
+        """
+        step = stepped() if stepped else self.step_with_memory(ensemble.members, memory, ensemble.time, rng)
         members = self.checked(step.members, ensemble.members.shape, "members after a step")
+        self.checked_diagnostics(step.diagnostics)
         return Forecast(Ensemble(members, self.space, ensemble.time + self.dt), step.memory, step.diagnostics)
 
 
@@ -130,6 +160,9 @@ class Observer(Plugin):
     def operator(self, space: StateSpace, route: Route, t: float) -> ObservationOperator:
         """Return H and R of the readings of a state in ``space`` taken along ``route``, which begins at t (seconds)."""
         raise NotImplementedError(f"{self.label} must define operator(space, route, t)")
+
+    def suit(self, space: StateSpace, dt: float) -> None:
+        """Raise ConfigurationError where the options do not go with a state space and a time step (seconds)."""
 
     def look(self, space: StateSpace, route: Route, t: float) -> ObservationOperator:
         """Ask for the operator and check that it is one; raises ContractError."""
@@ -165,6 +198,9 @@ class Policy(Plugin):
         """Return the route until the next decision."""
         raise NotImplementedError(f"{self.label} must define decide(belief, vehicle, rng)")
 
+    def suit(self, space: StateSpace) -> None:
+        """Raise ConfigurationError where the options do not go with a state space."""
+
     def initial_memory(self, vehicle: Vehicle) -> Memory | None:
         """Return what the first decision must be told."""
         return None
@@ -191,6 +227,13 @@ class Policy(Plugin):
                 raise ContractError(
                     f"{self.label}: vehicle {number} would fly {flown:.6g} m, it can fly {vehicle.reach:.6g} m"
                 )
+            for leg in pairwise(path):
+                if vehicle.airspace is not None and not vehicle.airspace.is_free(*leg):
+                    raise ContractError(
+                        f"{self.label}: vehicle {number} would fly out of the domain or into a building on its way "
+                        f"from {leg[0].tolist()} to {leg[1].tolist()}"
+                    )
+        self.checked_diagnostics(route.diagnostics)
         return route
 
 
@@ -238,6 +281,9 @@ class Filter(Plugin):
         """Return the analysis of a filter that remembers."""
         return self.analyse(forecast, predicted, observation, rng)
 
+    def suit(self, space: StateSpace, n_members: int) -> None:
+        """Raise ConfigurationError where the filter does not go with a state space or a number of members."""
+
     def require_members(self, n_members: int) -> None:
         """Raise ConfigurationError where the filter cannot work with so few members."""
         if n_members < self.smallest_ensemble:
@@ -262,4 +308,5 @@ class Filter(Plugin):
         if not isinstance(analysis, Analysis):
             raise ContractError(f"{self.label}: expected an Analysis, got {type(analysis).__name__}")
         members = self.checked(analysis.members, forecast.members.shape, "members after the analysis")
+        self.checked_diagnostics(analysis.diagnostics)
         return Analysis(members, analysis.memory, analysis.diagnostics)

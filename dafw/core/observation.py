@@ -37,7 +37,12 @@ class ObservationOperator:
                 raise ConfigurationError(f"the {label} of {self.size} readings has the shape {shape}")
             variances = matrix if matrix.ndim == 1 else np.diag(matrix)
             if not np.all(variances > 0.0):
-                raise ConfigurationError(f"the {label} has variances that are not above zero: {variances.tolist()}")
+                raise ConfigurationError(f"the {label} has a variance that is not above zero: {variances.min()}")
+        if self.coordinates is not None and (self.coordinates.ndim != 2 or len(self.coordinates) != self.size):
+            raise ConfigurationError(
+                f"coordinates of {self.size} readings must have the shape ({self.size}, d), "
+                f"got {self.coordinates.shape}"
+            )
 
     @property
     def size(self) -> int:

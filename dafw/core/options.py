@@ -56,7 +56,7 @@ class Described:
 
 def _option_fields(cls: type) -> list[tuple[dataclasses.Field[Any], Any]]:
     """The option fields of a dataclass with their resolved types."""
-    if not is_dataclass(cls):
+    if not is_dataclass(cls) or ("__dataclass_fields__" not in vars(cls) and vars(cls).get("__annotations__")):
         raise OptionError(f"{cls.__module__}.{cls.__qualname__} is not a dataclass: decorate it with @dataclass")
     hints = typing.get_type_hints(cls)
     return [(f, hints[f.name]) for f in fields(cls) if f.init]
@@ -164,6 +164,15 @@ def _numbers(value: Any) -> Iterator[float]:
     elif isinstance(value, list):
         for item in value:
             yield from _numbers(item)
+
+
+def merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return ``base`` with ``changes`` laid over it, nested mappings entry by entry."""
+    result = dict(base)
+    for name, value in changes.items():
+        old = result.get(name)
+        result[name] = merged(old, value) if isinstance(old, Mapping) and isinstance(value, Mapping) else value
+    return result
 
 
 def describe(cls: type, prefix: str = "") -> list[Described]:

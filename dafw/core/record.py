@@ -63,6 +63,8 @@ class Record:
         self._recording = 0.0
         self.scored = self._space.variables[0].name
         self._file.setncatts({"Conventions": "CF-1.11 UGRID-1.0", "scored_variable": self.scored, **attributes})
+        self._places: dict[str, Array | None] = {}
+        self._meshed = parts.model.domain is not None and parts.model.domain.triangles is not None
         self._define_dimensions(len(state.belief.ensemble), len(state.vehicle.positions))
         self._define_states()
         self._define_cycle_variables()
@@ -125,9 +127,11 @@ class Record:
         for candidate in ("node", f"node_{variable.name}"):
             if candidate not in self._file.dimensions:
                 self._file.createDimension(candidate, variable.size)
+                self._places[candidate] = variable.coordinates
                 if variable.coordinates is not None:
                     self._write_coordinates(candidate, variable.coordinates)
-            if len(self._file.dimensions[candidate]) == variable.size:
+            places, fits = self._places[candidate], len(self._file.dimensions[candidate]) == variable.size
+            if fits and (variable.coordinates is None or _same(places, variable.coordinates)):
                 return (candidate,)
         raise ContractError(f"no dimension fits the variable '{variable.name}'")
 
@@ -140,8 +144,11 @@ class Record:
             dims = self._dims(variable)
             title = variable.long_name or variable.name.replace("_", " ")
             attributes = {"comment": KIND_NOTES[variable.kind]} if KIND_NOTES[variable.kind] else {}
-            if dims and variable.coordinates is not None and variable.coordinates.shape[1] == 2:
-                attributes |= {"mesh": "mesh2d", "location": "node", "coordinates": "node_x node_y"}
+            if dims and variable.coordinates is not None:
+                axes = "xyz"[: variable.coordinates.shape[1]]
+                attributes["coordinates"] = " ".join(f"{dims[0]}_{axis}" for axis in axes)
+            if dims == ("node",) and self._meshed:
+                attributes |= {"mesh": "mesh2d", "location": "node"}
             dtype = "f4" if dims else "f8"
             for stage, label in STAGES.items():
                 name, long_name = f"{variable.name}_{stage}", f"{title}, {label}"
@@ -274,6 +281,10 @@ def _block(rows: list[Any], fill: Any, dtype: Any) -> Any:
     for number, row in enumerate(rows):
         block[(number, *map(slice, row.shape))] = row
     return block
+
+
+def _same(a: Array | None, b: Array) -> bool:
+    return a is not None and np.array_equal(a, b)
 
 
 def _squeeze(values: Array) -> Array:

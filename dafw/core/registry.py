@@ -17,7 +17,7 @@ from typing import Any
 import pluggy
 
 from dafw.core import hookspecs
-from dafw.core.errors import OptionError, PluginError
+from dafw.core.errors import DafwError, OptionError, PluginError
 from dafw.core.hookspecs import PluginSpec
 from dafw.core.interfaces import Filter, Model, Observer, Plugin, Policy
 from dafw.core.options import Described, build, describe, schema
@@ -150,7 +150,12 @@ class Registry:
         if not isinstance(name, str):
             raise PluginError(f"a {kind} needs a name ({self._nearest(kind, str(name))})")
         cls = self.plugin_class(kind, name)
-        plugin = build(cls, options, f"{kind} '{name}'")
+        try:
+            plugin = build(cls, options, f"{kind} '{name}'")
+        except DafwError:
+            raise
+        except Exception as error:
+            raise PluginError(f"{kind} '{name}' cannot be made: {type(error).__name__}: {error}") from error
         plugin.name = name
         return plugin
 

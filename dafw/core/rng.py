@@ -36,6 +36,10 @@ class Streams:
         # numpy's stubs do not know that any ISeedSequence will do.
         self._keys: dict[str, Any] = {}
 
+    def __reduce__(self) -> tuple[type[Streams], tuple[int]]:
+        """Travel as the seed: it gives the same streams anywhere."""
+        return Streams, (self.seed,)
+
     def generator(self, role: str, cycle: int, member: int = 0) -> np.random.Generator:
         """Return the generator of a role ("policy", "observation noise", ...) at a cycle, for one member."""
         if role not in self._keys:

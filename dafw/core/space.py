@@ -112,6 +112,17 @@ class StateSpace:
         listed = ", ".join(f"{v.name} ({v.size}, {v.kind.value})" for v in self.variables)
         return f"StateSpace({listed})"
 
+    def agrees(self, other: StateSpace) -> bool:
+        """Say whether another space means the same by the same numbers at the same places."""
+        return len(self.variables) == len(other.variables) and all(
+            (mine.name, mine.size, mine.kind) == (theirs.name, theirs.size, theirs.kind)
+            and np.array_equal(
+                np.empty(0) if mine.coordinates is None else mine.coordinates,
+                np.empty(0) if theirs.coordinates is None else theirs.coordinates,
+            )
+            for mine, theirs in zip(self.variables, other.variables, strict=True)
+        )
+
     def _indices(self, kind: Kind) -> IntArray:
         chosen = [np.arange(self.size)[self._slices[v.name]] for v in self.variables if v.kind is kind]
         return np.concatenate(chosen) if chosen else np.empty(0, dtype=np.int64)

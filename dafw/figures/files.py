@@ -104,7 +104,11 @@ def _own_overrides(files: Sequence[Path]) -> list[str]:
     told = []
     for file in files:
         record = file.parent / ".hydra" / "overrides.yaml"
-        told.append(yaml.safe_load(record.read_text(encoding="utf-8")) or [] if record.is_file() else [])
+        try:
+            listed = yaml.safe_load(record.read_text(encoding="utf-8")) if record.is_file() else []
+        except (OSError, UnicodeError, yaml.YAMLError):
+            listed = []  # a label less
+        told.append([str(item) for item in listed] if isinstance(listed, list) else [])
     common = set.intersection(*map(set, told))
     return [", ".join(item for item in one if item not in common) for one in told]
 

@@ -22,7 +22,7 @@ from dafw.core.ensemble import Analysis, Ensemble
 from dafw.core.errors import ComputationError, ConfigurationError
 from dafw.core.interfaces import Filter
 from dafw.core.observation import Observation, ObservationOperator
-from dafw.core.space import Array, Kind
+from dafw.core.space import Array, Kind, StateSpace
 from dafw.plugins.filters.rotation import zero_mean_basis
 
 LINEAR = 1e-9
@@ -56,7 +56,14 @@ class Kalman(Filter):
 
     accuracy = "exact"
 
-    accuracy = "exact"
+    def suit(self, space: StateSpace, n_members: int) -> None:
+        """Raise ConfigurationError where N <= n or the state has angles or bounds."""
+        if n_members <= space.size:
+            raise ConfigurationError(
+                f"{self.label} needs more members than the state has numbers ({space.size}), the study has {n_members}"
+            )
+        if other := [v.name for v in space.variables if v.kind is not Kind.FIELD]:
+            raise ConfigurationError(f"{self.label} takes plain fields only, '{other[0]}' has angles or bounds")
 
     def analyse(
         self, forecast: Ensemble, predicted: Array, observation: Observation, rng: np.random.Generator
@@ -65,12 +72,7 @@ class Kalman(Filter):
         from filterpy.kalman import KalmanFilter
 
         n_members, size = forecast.members.shape
-        if n_members <= size:
-            raise ConfigurationError(
-                f"{self.label} needs more members than the state has numbers ({size}), the study has {n_members}"
-            )
-        if other := [v.name for v in forecast.space.variables if v.kind is not Kind.FIELD]:
-            raise ConfigurationError(f"{self.label} takes plain fields only, '{other[0]}' has angles or bounds")
+        self.suit(forecast.space, n_members)
         H, offset = operator_matrix(observation.operator, size)  # noqa: N806
         if not np.allclose(predicted, forecast.members @ H.T + offset, rtol=LINEAR, atol=LINEAR * np.abs(H).max()):
             raise ComputationError(f"{self.label} needs a linear observation operator, this one is not")

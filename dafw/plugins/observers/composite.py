@@ -35,6 +35,11 @@ class Composite(Observer):
                 raise ConfigurationError(f"observer 'composite': part '{own_name}' must be a mapping, got {part!r}")
             self._observers.append(registry().create("observer", part))
 
+    def suit(self, space: StateSpace, dt: float) -> None:
+        """Raise ConfigurationError where a part does not go with the state space or the time step."""
+        for observer in self._observers:
+            observer.suit(space, dt)
+
     def operator(self, space: StateSpace, route: Route, t: float) -> ObservationOperator:
         """Return all parts' operators stacked, in the order of the configuration."""
         return stack(tuple(observer.look(space, route, t) for observer in self._observers))

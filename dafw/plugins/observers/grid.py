@@ -13,6 +13,7 @@ from dafw.core.interfaces import Observer
 from dafw.core.observation import ObservationOperator, Selection
 from dafw.core.options import option
 from dafw.core.space import StateSpace
+from dafw.plugins.observers.schedule import is_due, require_steps
 
 
 @dataclass
@@ -29,10 +30,13 @@ class Grid(Observer):
     noise_sd: float = option(1.0, "standard deviation of the readings' noise", above=0.0)
     assumed_variance: float | None = option(None, "variance that the filter is told; null: noise_sd squared", above=0.0)
 
+    def suit(self, space: StateSpace, dt: float) -> None:
+        """Raise ConfigurationError where ``every`` is no multiple of the time step."""
+        require_steps(self.every, dt, self.label)
+
     def operator(self, space: StateSpace, route: Route, t: float) -> ObservationOperator:
         """Return the readings due in this step: all, or none. Raises ConfigurationError for an entry there is not."""
-        # A tenth of a millisecond forgives times that are sums of rounded steps.
-        due = self.every is None or (t + 1e-4) % self.every < 2e-4
+        due = is_due(t, self.every)
         indices = (*self.indices,) if self.indices else slice(self.start, None, self.stride)
         variance = self.noise_sd**2
         assumed = variance if self.assumed_variance is None else self.assumed_variance

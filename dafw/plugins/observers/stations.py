@@ -15,6 +15,7 @@ from dafw.core.observation import ObservationOperator
 from dafw.core.options import option
 from dafw.core.space import StateSpace
 from dafw.plugins.observers.nodes import read_nodes
+from dafw.plugins.observers.schedule import is_due, require_steps
 
 
 @dataclass
@@ -36,9 +37,21 @@ class Stations(Observer):
         if any(len(position) != 2 for position in self.positions):
             raise ConfigurationError(f"observer 'stations': positions must be [[x, y], ...], got {self.positions}")
 
+    def suit(self, space: StateSpace, dt: float) -> None:
+        """Raise ConfigurationError where a station is outside the nodes' bounds or ``every`` no multiple of dt."""
+        require_steps(self.every, dt, self.label)
+        nodes = space[self.variable].coordinates
+        if not self.positions:
+            raise ConfigurationError(f"{self.label}: positions must name at least one place")
+        if nodes is None:
+            return
+        lowest, highest = nodes.min(axis=0), nodes.max(axis=0)
+        for position in self.positions:
+            if np.any(position < lowest) or np.any(position > highest):
+                raise ConfigurationError(f"{self.label}: the station at {position} lies outside the domain")
+
     def operator(self, space: StateSpace, route: Route, t: float) -> ObservationOperator:
         """Return the readings due in this step: all stations, or none."""
-        # A tenth of a millisecond forgives times that are sums of rounded steps.
-        due = (t + 1e-4) % self.every < 2e-4
+        due = is_due(t, self.every)
         points = np.array(self.positions, dtype=np.float64).reshape(-1, 2) if due else np.empty((0, 2))
         return read_nodes(space, self.variable, points, self.noise_sd, self.assumed_variance)

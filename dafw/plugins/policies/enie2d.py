@@ -22,7 +22,7 @@ from dafw.core.ensemble import Diagnostic, Ensemble, Route, Vehicle
 from dafw.core.errors import ConfigurationError
 from dafw.core.interfaces import Policy
 from dafw.core.options import option
-from dafw.core.space import Array
+from dafw.core.space import Array, StateSpace
 
 TWO_PI = 2.0 * np.pi
 
@@ -69,6 +69,12 @@ class EnIE2D(Policy):
     def weight(self, t: float) -> float:
         """Return theta_t; constant before the first and after the last time of a schedule."""
         return float(np.interp(t, self._times, self._weights))
+
+    def suit(self, space: StateSpace) -> None:
+        """Raise ConfigurationError where the variable is not there or has no coordinates in the plane."""
+        coordinates = space[self.variable].coordinates
+        if coordinates is None or coordinates.shape[1] != 2:
+            raise ConfigurationError(f"{self.label}: the variable '{self.variable}' has no coordinates in the plane")
 
     def decide(self, belief: Ensemble, vehicle: Vehicle, rng: np.random.Generator) -> Route:
         """Return one straight leg for each vehicle, decided by itself."""

@@ -19,7 +19,7 @@ import numpy as np
 
 from dafw.core.domain import Domain
 from dafw.core.ensemble import Diagnostics, Memory, Step
-from dafw.core.errors import ConfigurationError
+from dafw.core.errors import ConfigurationError, about_member
 from dafw.core.interfaces import Model
 from dafw.core.options import option
 from dafw.core.rng import MemberStreams
@@ -70,6 +70,12 @@ class AdvectionDiffusion(Model):
     def __post_init__(self) -> None:
         if len(self.release) != 2:
             raise ConfigurationError(f"the release must be one place [x, y] in metres, got {self.release}")
+        mean, sd = self.wind_speed, self.wind_speed_sd
+        if sd > 0.0 and not 1e-3 * mean <= sd <= 1e3 * mean:
+            raise ConfigurationError(
+                f"wind_speed_sd must be 0 or between a thousandth of wind_speed and a thousand times it (a Weibull "
+                f"distribution has that mean), got {sd:g} with a mean of {mean:g} m/s"
+            )
 
     @cached_property
     def place(self) -> Site:
@@ -144,7 +150,8 @@ class AdvectionDiffusion(Model):
             concentration[concentration <= self.cutoff] = 0.0
         winds, memory, diagnostics = self.winds(state["wind_speed"][:, 0], state["wind_direction"][:, 0], memory, t)
         for member, wind in enumerate(winds):
-            concentration[member] = self._system(member, wind).step(concentration[member])
+            with about_member(member):
+                concentration[member] = self._system(member, wind).step(concentration[member])
         # Galerkin's undershoots are no gas; the state's own set decides.
         return Step(stepped, memory, diagnostics)
 
@@ -163,5 +170,9 @@ class AdvectionDiffusion(Model):
         """Return the member's matrix: kept while its wind stays the same to the last bit."""
         kept = self._systems.get(member)
         if kept is None or not np.array_equal(kept[0], wind):
-            self._systems[member] = kept = (wind.copy(), self._transport.system(self.velocity(wind)))
+            self._systems[member] = kept = (wind.copy(), self.system(wind))
         return kept[1]
+
+    def system(self, wind: Array) -> TransportSystem:
+        """Return the steps of the gas in the wind that ``winds`` defined for one member (k,)."""
+        return self._transport.system(self.velocity(wind))

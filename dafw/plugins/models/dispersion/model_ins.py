@@ -11,19 +11,24 @@ memory of the run, so that nothing depends on what else ran in the process.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from dafw.core.ensemble import Diagnostic, Diagnostics, Memory
-from dafw.core.errors import SolverError
+from dafw.core.errors import SolverError, about_member
 from dafw.core.options import option
 from dafw.core.space import Array
 from dafw.plugins.models.dispersion.model import AdvectionDiffusion
 from dafw.plugins.models.dispersion.site import Site
-from dafw.plugins.models.dispersion.wind import WindOptions, WindSolver
+from dafw.plugins.models.dispersion.transport import TransportSystem
+from dafw.plugins.models.dispersion.wind import WindOptions, WindSolver, wind_solver
+
+if TYPE_CHECKING:
+    from dafw.plugins.models.dispersion.reduced_advection import ReducedAdvection
 
 
 @dataclass
@@ -47,7 +52,11 @@ class AdvectionDiffusionINS(AdvectionDiffusion):
     @cached_property
     def solver(self) -> WindSolver:
         """The wind solver on this mesh."""
-        return WindSolver(self.tagged_mesh, self.wind)
+        return wind_solver(self.tagged_mesh, self.wind)
+
+    def pinned_options(self) -> Mapping[str, Any]:
+        """Name the reduced basis in use, where there is one: there may be a newer one by now."""
+        return {"wind": {"basis": {"digest": self.solver.digest}}} if self.solver.digest else {}
 
     def initial_memory(self, members: Array) -> Memory:
         """Return the memory of members (N, n) for which no wind was solved yet: NaN."""
@@ -78,10 +87,11 @@ class AdvectionDiffusionINS(AdvectionDiffusion):
             first = np.isnan(memory["speed"][member])
             start = None if first else memory["unit"][member]
             try:
-                wind = self.solver.solve(speed[member], direction[member], start)
-            except SolverError as error:
+                with about_member(int(member)):
+                    wind = self.solver.solve(speed[member], direction[member], start)
+            except SolverError:
                 if self.on_unsolved == "stop" or first:
-                    raise type(error)(f"member {member}: {error}") from error
+                    raise
                 kept[member], solved[member] = True, False
                 continue
             iterations[member] = wind.iterations
@@ -101,3 +111,19 @@ class AdvectionDiffusionINS(AdvectionDiffusion):
     def velocity(self, wind: Array) -> Any:
         """Return the solved wind of one member as a DOLFINx function in m/s."""
         return self.solver.velocity(wind[:-1], wind[-1])
+
+    @cached_property
+    def _reduced_advection(self) -> ReducedAdvection | None:
+        """Advection in winds of the reduced basis; None where winds are not reduced, or it is not linear in them."""
+        if self.wind.solver != "reduced" or self.transport.scheme != "galerkin":
+            return None
+        from dafw.plugins.models.dispersion.reduced_advection import ReducedAdvection
+
+        return ReducedAdvection(self._transport, self.solver)
+
+    def system(self, wind: Array) -> TransportSystem:
+        """Return the steps of the gas in the wind of one member."""
+        reduced = self._reduced_advection
+        if reduced is None or not reduced.holds(wind[:-1]):
+            return super().system(wind)
+        return self._transport.system_of(reduced.matrix(wind[:-1], wind[-1]))

@@ -90,11 +90,25 @@ class Transport:
 
     def system(self, velocity: Any) -> TransportSystem:
         """Return the steps in one wind: ``velocity`` is a DOLFINx vector function (m/s) of the mesh, P2 or less."""
+        advection = self.advection(velocity)
+        if self._advected_mass is None:
+            return self.system_of(advection)
+        return self._system(advection, (self._mass + self._assemble(self._advected_mass)) / self.dt)
+
+    def system_of(self, advection: np.ndarray) -> TransportSystem:
+        """Return the steps in one wind from its advection matrix; Galerkin's scheme alone, where that is all of it."""
+        return self._system(advection, self._mass / self.dt)
+
+    def advection(self, velocity: Any) -> np.ndarray:
+        """Return the advection matrix of a wind as CSR values on (``indptr``, ``indices``).
+
+        In Galerkin's scheme it is linear in the wind: the matrix of a sum of winds is the sum of their matrices.
+        """
         self._velocity.interpolate(velocity)
-        before = self._mass / self.dt
-        if self._advected_mass is not None:
-            before = before + self._assemble(self._advected_mass) / self.dt
-        after = before + self.options.diffusion * self._stiffness + self._assemble(self._advection)
+        return self._assemble(self._advection)
+
+    def _system(self, advection: np.ndarray, before: np.ndarray) -> TransportSystem:
+        after = before + self.options.diffusion * self._stiffness + advection
         after[self._fixed_entries] = 0.0
         after[self._fixed_diagonal] = 1.0
         return TransportSystem(self, after, before)

@@ -25,6 +25,20 @@ class WindError(SolverError):
 
 
 @dataclass
+class BasisOptions:
+    """Options of the reduced basis: which winds are solved for it, and how far it is trusted."""
+
+    directions: int = option(32, "directions all round of the winds it is made from", minimum=4)
+    levels: int = option(5, "intensities in each direction, denser towards calm", minimum=1)
+    max_intensity: float = option(12.0, "m/s; the strongest wind it is made from", above=0.0)
+    modes: int = option(160, "modes kept; an enriched basis has more", minimum=1)
+    tolerance: float = option(
+        0.01, "estimated relative L2 error of the velocity above which the full equations are solved", above=0.0
+    )
+    digest: str = option("", "the basis to use, as an earlier run recorded it; empty: the newest")
+
+
+@dataclass
 class WindOptions:
     """Options of the steady wind."""
 
@@ -47,6 +61,29 @@ class WindOptions:
     )
     max_iterations: int = option(12, "factorisations in one Newton iteration", minimum=1)
     max_steps: int = option(40, "Newton iterations in one continuation from Stokes flow", minimum=1)
+    solver: str = option(
+        "newton",
+        "newton; accelerated: to the same tolerance from a reduced basis; reduced: in the basis, to its tolerance",
+        choices=("newton", "accelerated", "reduced"),
+    )
+    keep_factorisation: bool = option(True, "newton: use a factorisation again while it serves well")
+    basis: BasisOptions = option(BasisOptions, "the reduced basis of the accelerated and the reduced solver")
+
+
+def wind_solver(tagged_mesh: TaggedMesh, options: WindOptions) -> WindSolver:
+    """Return the solver that ``options.solver`` names; the cheap ones make a reduced basis or read it from the cache.
+
+    Raises ConfigurationError where the boundary does not suit the solver.
+    """
+    if options.solver == "newton":
+        return WindSolver(tagged_mesh, options)
+    if options.solver == "accelerated":
+        from dafw.plugins.models.dispersion.accelerated import AcceleratedWindSolver
+
+        return AcceleratedWindSolver(tagged_mesh, options)
+    from dafw.plugins.models.dispersion.reduced import ReducedWindSolver
+
+    return ReducedWindSolver(tagged_mesh, options)
 
 
 @dataclass(frozen=True)
@@ -77,14 +114,19 @@ class WindSolver:
         from dafw.plugins.models.dispersion.wind_boundary import WindBoundary
 
         self.options = options
-        self._problem = TaylorHood(tagged_mesh.mesh)
-        self._newton = Newton(self._problem)
-        self._boundary = WindBoundary(self._problem, tagged_mesh, options.boundary)
+        self.problem = TaylorHood(tagged_mesh.mesh)
+        self._newton = Newton(self.problem)
+        self.boundary = WindBoundary(self.problem, tagged_mesh, options.boundary)
 
     @property
     def unknowns(self) -> int:
         """The length n of the vector of a unit wind."""
-        return self._problem.unknowns
+        return self.problem.unknowns
+
+    @property
+    def digest(self) -> str:
+        """The name of the reduced basis in use, empty where there is none."""
+        return ""
 
     def viscosity(self, intensity: float) -> float:
         """Return the effective viscosity in m^2/s at an intensity in m/s."""
@@ -106,13 +148,14 @@ class WindSolver:
     def _solve(self, intensity: float, direction: float, start: np.ndarray | None) -> WindSolution:
         from dafw.plugins.models.dispersion.continuation import climb
 
-        reynolds = self._reynolds(intensity)
-        fixed, lift = self._boundary.conditions(direction)
+        reynolds = self.reynolds(intensity)
+        fixed, lift = self.boundary.conditions(direction)
         scale = self._norm(lift, reynolds, fixed)
         target = self.options.tolerance * scale
 
         def newton(start: np.ndarray, reynolds: float) -> Iterate:
-            return self._newton.solve(start, reynolds, fixed, target, self.options.max_iterations)
+            keep = self.options.keep_factorisation
+            return self._newton.solve(start, reynolds, fixed, target, self.options.max_iterations, keep=keep)
 
         found, iterations = None, 0
         if start is not None:
@@ -131,13 +174,31 @@ class WindSolver:
             )
         return WindSolution(found.unknowns, intensity, direction, iterations, residual)
 
-    def _reynolds(self, intensity: float) -> float:
-        """Return intensity / viscosity in 1/m, which is defined for a calm in both closures."""
+    def reynolds(self, intensity: float) -> float:
+        """Return the unit Reynolds number intensity / viscosity (1/m), which a calm has, too, in both closures."""
         reference = intensity if self.options.closure == "constant" else self.options.reference_intensity
         return reference / self.options.viscosity
 
+    def derivatives(self, wind: WindSolution) -> tuple[np.ndarray, np.ndarray]:
+        """Return the derivatives of the velocity of a unit wind, (2 m,) each, to R and to the direction.
+
+        Call it with the last solution: its last factorisation serves, so that they are exact up to Newton's last step.
+        """
+        problem, unit = self.problem, wind.unit
+        fixed, _ = self.boundary.conditions(wind.direction)
+        _, turned = self.boundary.conditions(wind.direction + 0.5 * np.pi)
+        reynolds = self.reynolds(wind.intensity)
+        ahead, behind = (problem.residual(unit + sign * turned, reynolds) for sign in (1.0, -1.0))
+        by_reynolds = problem.residual(unit, 1.0) - problem.residual(unit, 0.0)
+        by_direction = 0.5 * (ahead - behind)  # exact for a quadratic
+        velocities = []
+        for force, fixed_part in ((by_reynolds, np.zeros(self.problem.unknowns)), (by_direction, turned)):
+            force[fixed] = 0.0
+            velocities.append(problem.velocity(fixed_part - self._newton.back_substitute(force)))
+        return velocities[0], velocities[1]
+
     def _norm(self, unknowns: np.ndarray, reynolds: float, fixed: np.ndarray) -> float:
-        return float(np.linalg.norm(self._problem.residual(unknowns, reynolds)[~fixed]))
+        return float(np.linalg.norm(self.problem.residual(unknowns, reynolds)[~fixed]))
 
     def _checked(self, intensity: float, direction: float, start: np.ndarray | None) -> np.ndarray | None:
         if not (np.isfinite(intensity) and intensity >= 0.0 and np.isfinite(direction)):
@@ -167,6 +228,6 @@ class WindSolver:
             wind = wind.unit
         if intensity is None:
             raise ContractError("wind: expected the intensity that goes with a unit wind, got none")
-        function = fem.Function(self._problem.velocity_space)
-        function.x.array[:] = intensity * self._problem.velocity(wind)
+        function = fem.Function(self.problem.velocity_space)
+        function.x.array[:] = intensity * self.problem.velocity(wind)
         return function

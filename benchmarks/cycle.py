@@ -1,0 +1,177 @@
+"""Whole cycles of ``enie2d_paper``: real time, the paper's literal algorithm, what the framework itself takes.
+
+``BEST`` is the quickest configuration that there is. Ratios are of cycles of two runs taken in turn in one process;
+the first cycle, in which every member's wind is new, is not counted.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from benchmarks import Measurement, benchmark
+from dafw.core.composition import compose, study_part
+from dafw.core.cycle import Parts, State, advance, start
+from dafw.core.experiment import assemble, study_from
+from dafw.core.record import Record
+from dafw.running import run_study
+
+PAPER = ("experiment=enie2d_paper", "pictures=false")
+SMALL = ("experiment=enie2d", "pictures=false", "members=3", "model.mesh.wall_size=40", "model.mesh.far_size=60")
+LITERAL = ("model.wind.solver=newton", "model.wind.keep_factorisation=false", "executor=serial")
+BEST = ("model.wind.solver=reduced", "executor=processes")
+TOY = ("model.wind.keep_factorisation=true", "executor=processes", "executor.workers=2")
+"""Stands in for ``BEST`` where only the code is to be shown to work."""
+
+
+@dataclass
+class Run:
+    """A study on its way, cycle by cycle, with nothing recorded."""
+
+    parts: Parts
+    state: State
+    seconds: list[float] = field(default_factory=list)
+    errors: list[float] = field(default_factory=list)
+
+    def cycle(self) -> None:
+        """Run one cycle, and note how long it took and the belief's ERR in per cent."""
+        begun = time.perf_counter()
+        self.state = advance(self.parts, self.state).state
+        self.seconds.append(time.perf_counter() - begun)
+        part = self.parts.model.space.slice("concentration")
+        belief, truth = self.state.belief.ensemble.mean[part], self.state.truth.ensemble.members[0, part]
+        self.errors.append(float(100.0 * np.linalg.norm(belief - truth) / np.linalg.norm(truth)))
+
+
+@contextmanager
+def running(overrides: Sequence[str]) -> Iterator[Run]:
+    """Set a study up."""
+    study = study_from(study_part(compose(list(overrides))))
+    parts, vehicle = assemble(study)
+    with parts.executor, threadpool_limits(limits=1, user_api="blas"):
+        parts.executor.start(parts.model, study.model)
+        yield Run(parts, start(parts, study.members, vehicle))
+
+
+def realtime_factor(overrides: Sequence[str], cycles: int) -> Measurement:
+    """Return simulated seconds per second of a whole run, set-up and recording included, caches warm."""
+    study = study_from(study_part(compose([*overrides, f"cycles={cycles}"])))
+    with tempfile.TemporaryDirectory() as folder:
+        warming = study_from(study_part(compose([*overrides, "cycles=1"])))
+        run_study(warming, Path(folder) / "warming")
+        summary = run_study(study, Path(folder) / "run")
+    phases: Mapping[str, float] = summary["phase_seconds"]
+    looping = sum(seconds for phase, seconds in phases.items() if phase != "set-up")
+    simulated = cycles * study.model.get("dt", 1.0)
+    detail = {
+        "members": study.members,
+        "without_set_up": round(simulated / looping, 3),
+        "phase_seconds": dict(phases),
+        "err_final": summary["err_final"],
+        "overrides": list(overrides),
+    }
+    return Measurement(simulated / summary["wall_seconds"], "simulated seconds per second", 1.0, detail)
+
+
+@benchmark("cycle.realtime_factor_n10")
+def realtime_factor_n10(short: bool) -> Measurement:
+    """Simulated seconds per second of the paper's study with its 10 members."""
+    return realtime_factor([*SMALL, *TOY], 2) if short else realtime_factor([*PAPER, *BEST, "members=10"], 100)
+
+
+@benchmark("cycle.realtime_factor_n100")
+def realtime_factor_n100(short: bool) -> Measurement:
+    """The same with 100 members."""
+    return realtime_factor([*SMALL, *TOY], 2) if short else realtime_factor([*PAPER, *BEST, "members=100"], 100)
+
+
+@benchmark("cycle.over_literal")
+def over_literal(short: bool) -> Measurement:
+    """Time of a cycle by the paper's literal algorithm over that of the best configuration, cycles taken in turn."""
+    size, best, cycles = (SMALL, TOY, 3) if short else (PAPER, BEST, 16)
+    with ExitStack() as stack:
+        literal, quick = (stack.enter_context(running([*size, *how])) for how in (LITERAL, best))
+        for _ in range(cycles):
+            literal.cycle()
+            quick.cycle()
+    slow, fast = np.array(literal.seconds), np.array(quick.seconds)
+    detail = {
+        "first_cycle": round(float(slow[0] / fast[0]), 2),
+        "median_of_ratios": round(float(np.median(slow[1:] / fast[1:])), 2),
+        "seconds_literal": slow.round(4).tolist(),
+        "seconds_best": fast.round(4).tolist(),
+        "err_literal": np.round(literal.errors, 2).tolist(),
+        "err_best": np.round(quick.errors, 2).tolist(),
+    }
+    # Of sums: winds are solved anew in some cycles only, and not always the same ones.
+    return Measurement(float(slow[1:].sum() / fast[1:].sum()), "times the literal algorithm's speed", 20.0, detail)
+
+
+class Stopwatch:
+    """Adds up the seconds spent in some calls."""
+
+    def __init__(self) -> None:
+        self.seconds = 0.0
+
+    def on(self, owner: Any, name: str) -> None:
+        """Time a method of an object."""
+        object.__setattr__(owner, name, self._timed(getattr(owner, name)))
+
+    def _timed(self, call: Callable[..., Any]) -> Callable[..., Any]:
+        def timed(*given: Any, **named: Any) -> Any:
+            begun = time.perf_counter()
+            try:
+                return call(*given, **named)
+            finally:
+                self.seconds += time.perf_counter() - begun
+
+        return timed
+
+    def read(self) -> float:
+        """Return the seconds since the last reading."""
+        seconds, self.seconds = self.seconds, 0.0
+        return seconds
+
+
+@benchmark("cycle.overhead_ms")
+def overhead_ms(short: bool) -> Measurement:
+    """Milliseconds of a cycle, median, that are neither model step nor filter algebra; recording is told apart."""
+    size, cycles = ([*SMALL, *LITERAL], 2) if short else ([*PAPER, *BEST, "executor=serial"], 60)
+    watches = {name: Stopwatch() for name in ("model", "filter", "policy", "observer")}
+    rows: list[dict[str, float]] = []
+    with running(size) as run, tempfile.TemporaryDirectory() as folder:
+        parts = run.parts
+        for model in (parts.model, parts.truth, parts.free):
+            watches["model"].on(model, "step_with_memory")
+        watches["filter"].on(parts.filter, "analyse_with_memory")
+        watches["policy"].on(parts.policy, "decide_with_memory")
+        watches["observer"].on(parts.observer, "operator")
+        scalars = [variable.name for variable in parts.model.space.variables if variable.size == 1]
+        path, section = Path(folder) / "run.nc", np.zeros((0, 2))
+        record = Record(path, parts, run.state, whole=scalars, section=section, attributes={})
+        for _ in range(cycles):
+            begun = time.perf_counter()
+            cycle = advance(parts, run.state)
+            between = time.perf_counter()
+            record.append(cycle)
+            ended = time.perf_counter()
+            run.state = cycle.state
+            row = {name: watch.read() for name, watch in watches.items()}
+            rows.append(row | {"cycle": between - begun, "record": ended - between})
+        record.close()
+    taken = {name: np.array([row[name] for row in rows[1:]]) for name in rows[0]}
+    overhead = 1e3 * (taken["cycle"] - taken["model"] - taken["filter"])
+    detail = {f"{name}_ms": round(float(np.median(1e3 * values)), 4) for name, values in taken.items()}
+    detail["without_policy_and_observer_ms"] = round(
+        float(np.median(overhead - 1e3 * (taken["policy"] + taken["observer"]))), 4
+    )
+    detail["record_share_percent"] = round(float(100.0 * taken["record"].sum() / taken["cycle"].sum()), 2)
+    return Measurement(float(np.median(overhead)), "ms a cycle", 1.0, detail)

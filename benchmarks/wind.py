@@ -1,0 +1,205 @@
+"""The wind: what the cheap solvers save, and what that costs in accuracy.
+
+The winds are those that a run of ``enie2d_paper`` (seed 0) solved, in their order, each from the member's last one
+(``winds_of_a_run.csv``: m/s, radians, row of the start). The baseline is warm Newton: a fresh Jacobian and
+factorisation in each iteration, from the member's last wind. docs/fast-winds.md.
+"""
+
+from __future__ import annotations
+
+import csv
+import os
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks import Measurement, benchmark
+from dafw.plugins.models.dispersion.mesh import MeshOptions, TaggedMesh, generate, load
+from dafw.plugins.models.dispersion.site import SiteOptions, load_site
+from dafw.plugins.models.dispersion.wind import BasisOptions, WindOptions, WindSolver, wind_solver
+
+PAPER = MeshOptions(wall_size=5.5, far_size=14.0, transition=120.0)
+"""That of ``enie2d_paper``: 10,000 nodes."""
+UNSEEN = 200
+
+
+def timed[**P, T](action: Callable[P, T], *given: P.args, **named: P.kwargs) -> tuple[T, float]:
+    """Return what an action returns and the seconds of the processor that it took, which no other load changes."""
+    begun = time.process_time()
+    done = action(*given, **named)
+    return done, time.process_time() - begun
+
+
+@contextmanager
+def cache(short: bool) -> Iterator[None]:
+    """Leave the user's cache alone where only a toy is made."""
+    if not short:
+        yield
+        return
+    kept = os.environ.get("DAFW_CACHE")
+    with tempfile.TemporaryDirectory() as folder:
+        os.environ["DAFW_CACHE"] = folder
+        try:
+            yield
+        finally:
+            del os.environ["DAFW_CACHE"]
+            if kept is not None:
+                os.environ["DAFW_CACHE"] = kept
+
+
+@dataclass(frozen=True)
+class Case:
+    """One mesh and the solvers on it."""
+
+    tagged_mesh: TaggedMesh
+    options: WindOptions
+
+    @cached_property
+    def newton(self) -> WindSolver:
+        """Warm Newton."""
+        return WindSolver(self.tagged_mesh, replace(self.options, keep_factorisation=False))
+
+    @cached_property
+    def accelerated(self) -> Any:
+        """The accelerated solver."""
+        return wind_solver(self.tagged_mesh, replace(self.options, solver="accelerated"))
+
+    @cached_property
+    def reduced(self) -> Any:
+        """The reduced solver."""
+        return wind_solver(self.tagged_mesh, replace(self.options, solver="reduced"))
+
+
+@lru_cache
+def case(short: bool) -> Case:
+    """Return the paper's mesh, or a few tanks of the plant with a toy of a basis."""
+    with cache(short):
+        if not short:
+            made = Case(load(generate(load_site(SiteOptions()), PAPER)), WindOptions())
+        else:
+            site = load_site(SiteOptions(bounds=[7.995, 50.0005, 7.9975, 50.0022]))
+            mesh = load(generate(site, MeshOptions(wall_size=30.0, far_size=60.0, across=1)))
+            basis = BasisOptions(directions=4, levels=2, max_intensity=8.0, modes=20, tolerance=1.0)
+            made = Case(mesh, WindOptions(basis=basis))
+        made.accelerated, made.reduced  # noqa: B018  made while the cache is there
+    return made
+
+
+def re_solves(
+    case: Case, every: int, count: int | None
+) -> Iterator[tuple[float, float, np.ndarray | None, float, bool]]:
+    """Replay the run with the accelerated solver: intensity, direction, start, its seconds, whether it is one to time.
+
+    All winds are solved, so that its kept factorisations are those of a run.
+    """
+    file = Path(__file__).parent / "winds_of_a_run.csv"
+    with file.open(encoding="utf-8", newline="") as lines:
+        rows = list(csv.DictReader(lines))[:count]
+    units: list[np.ndarray] = []
+    for number, row in enumerate(rows):
+        intensity, direction = float(row["intensity"]), float(row["direction"])
+        start = units[int(row["start"])] if row["start"] else None
+        found, seconds = timed(case.accelerated.solve, intensity, direction)
+        units.append(found.unit)
+        yield intensity, direction, start, seconds, start is not None and number % every == 0
+
+
+def _over_newton(short: bool, cheap: str) -> Measurement:
+    measured = case(short)
+    times: list[tuple[float, float]] = []
+    for intensity, direction, start, accelerated, counts in re_solves(
+        measured, 1 if short else 4, 13 if short else None
+    ):
+        if not counts:
+            continue
+        _, warm = timed(measured.newton.solve, intensity, direction, start)
+        seconds = accelerated
+        if cheap == "reduced":
+            _, seconds = timed(measured.reduced.solve, intensity, direction)
+        times.append((warm, seconds))
+    warm_times, cheap_times = np.array(times).T
+    ratios = warm_times / cheap_times
+    detail = {
+        "re_solves": len(ratios),
+        "quartiles": np.quantile(ratios, [0.25, 0.75]).round(2).tolist(),
+        "ratio_of_sums": round(float(warm_times.sum() / cheap_times.sum()), 2),
+        "median_ms_newton": round(1e3 * float(np.median(warm_times)), 1),
+        f"median_ms_{cheap}": round(1e3 * float(np.median(cheap_times)), 2),
+    }
+    goal = 5.0 if cheap == "accelerated" else 110.0
+    return Measurement(float(np.median(ratios)), "times warm Newton's speed", goal, detail)
+
+
+@benchmark("wind.accelerated_over_newton")
+def accelerated_over_newton(short: bool) -> Measurement:
+    """Warm Newton's time over the accelerated solver's, same tolerance: median over the re-solves of a run."""
+    return _over_newton(short, "accelerated")
+
+
+@benchmark("wind.reduced_over_newton")
+def reduced_over_newton(short: bool) -> Measurement:
+    """The same for the reduced solver, certificate included."""
+    return _over_newton(short, "reduced")
+
+
+def draws(count: int, strongest: float) -> list[tuple[float, float]]:
+    """Return winds as the paper's first guess draws their speed, up to the strongest, from anywhere."""
+    from dafw.plugins.models.dispersion.first_guess import draw_speed
+
+    rng = np.random.default_rng(2024)
+    found: list[tuple[float, float]] = []
+    while len(found) < count:
+        speed = float(draw_speed(2.5, 3.0, rng))
+        if speed <= strongest:
+            found.append((speed, float(rng.uniform(0.0, 2.0 * np.pi))))
+    return found
+
+
+@lru_cache
+def errors(short: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Return the relative L2 errors of reduced winds that the basis never saw, and their estimates, (count,) each."""
+    from dafw.plugins.models.dispersion.velocity_space import VelocitySpace
+
+    measured = case(short)
+    problem, flow = measured.newton.problem, measured.reduced.flow
+    mass = VelocitySpace(problem, measured.newton.boundary).mass
+    found = []
+    for intensity, direction in draws(4 if short else UNSEEN, measured.options.basis.max_intensity):
+        full = problem.velocity(measured.accelerated.solve(intensity, direction).unit)  # to Newton's own tolerance
+        wind = flow.solve(measured.newton.reynolds(intensity), direction)
+        error = flow.basis.velocities @ wind.coefficients - full
+        found.append((np.sqrt(error @ (mass @ error) / (full @ (mass @ full))), wind.error))
+    actual, estimated = np.array(found).T
+    return actual, estimated
+
+
+def _error(short: bool, share: float) -> Measurement:
+    actual, estimated = errors(short)
+    ratios = estimated / actual
+    detail = {
+        "winds": len(actual),
+        "largest": float(actual.max()),
+        "trusted": float(np.mean(estimated <= case(short).options.basis.tolerance)),
+        "largest_trusted": float(actual[estimated <= case(short).options.basis.tolerance].max()),
+        "estimate_over_error": np.quantile(ratios, [0.0, 0.5, 1.0]).round(2).tolist(),
+    }
+    return Measurement(float(np.quantile(actual, share)), "relative L2 error of the velocity", 0.01, detail)
+
+
+@benchmark("wind.reduced_error_median")
+def reduced_error_median(short: bool) -> Measurement:
+    """Median error of the reduced wind over 200 winds that the basis never saw."""
+    return _error(short, 0.5)
+
+
+@benchmark("wind.reduced_error_p95")
+def reduced_error_p95(short: bool) -> Measurement:
+    """The error that 95 % of them stay below."""
+    return _error(short, 0.95)

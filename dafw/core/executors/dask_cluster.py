@@ -1,0 +1,136 @@
+"""Executor ``dask``: workers of a dask cluster, on this machine or wherever a scheduler has some.
+
+Every worker keeps the model in a module of its own, not in an actor: a worker that is lost takes nothing with it, and
+dask has its batch done again by another.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import logging
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+from dafw.core.ensemble import Memory, Step
+from dafw.core.errors import ComputationError, ConfigurationError
+from dafw.core.executors import Executor
+from dafw.core.executors.batches import Batch, cores, join, split
+from dafw.core.executors.worker import Outcome, step_batch
+from dafw.core.interfaces import Model
+from dafw.core.options import merged, option
+from dafw.core.rng import MemberStreams
+from dafw.core.space import Array
+
+log = logging.getLogger("dafw")
+
+
+@dataclass
+class Dask(Executor):
+    """A cluster of this machine's own, or the scheduler at an address."""
+
+    name = "dask"
+
+    address: str | None = option(None, "scheduler, such as tcp://10.0.0.1:8786; null: a cluster on this machine")
+    workers: int | None = option(
+        None, "workers, and batches of members; null: one for each core, or as many as the scheduler has", minimum=1
+    )
+    retries: int = option(
+        2, "how often a batch is done again because its worker was lost (a cluster of our own)", minimum=0
+    )
+    wait: float = option(60.0, "how long to wait for the workers, in seconds", above=0.0)
+
+    _client: Any = field(default=None, init=False, repr=False)
+    _cluster: Any = field(default=None, init=False, repr=False)
+    _config: Mapping[str, Any] = field(default_factory=dict, init=False, repr=False)
+    _batches: int = field(default=0, init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        if importlib.util.find_spec("distributed") is None:
+            raise ConfigurationError(f"{self.label} needs the package distributed: install dafw[dask]")
+
+    def start(self, model: Model, config: Mapping[str, Any]) -> None:
+        """Start the cluster or connect to it; raises ConfigurationError where nobody answers."""
+        import dask
+        from distributed import Client, LocalCluster
+
+        self.close()
+        self._config = merged(config, model.pinned_options())
+        dask.config.set({"distributed.scheduler.allowed-failures": self.retries})
+        count = self.workers or (1 if self.address else cores())
+        try:
+            if self.address is None:
+                self._cluster = LocalCluster(
+                    n_workers=count,
+                    threads_per_worker=1,
+                    host="127.0.0.1",
+                    dashboard_address=None,
+                    memory_limit=0,
+                    preload=["dafw.core.executors.worker"],
+                    silence_logs=logging.CRITICAL,
+                )
+                self._client = Client(self._cluster, set_as_default=False)
+            else:
+                self._client = Client(self.address, timeout=self.wait, set_as_default=False)
+            self._client.wait_for_workers(count, timeout=self.wait)
+        except (OSError, TimeoutError, ValueError) as error:
+            self.close()
+            place = self.address or "this machine"
+            raise ConfigurationError(f"{self.label}: no {count} workers at {place}: {error}") from error
+        self._batches = self.workers or len(self._addresses())
+        log.info("%s: %d workers at %s", self.label, self._batches, self._client.scheduler.address)
+
+    def _addresses(self) -> list[str]:
+        return sorted(self._client.scheduler_info(n_workers=-1)["workers"])
+
+    def submit(
+        self, model: Model, members: Array, memory: Memory | None, t: float, rng: MemberStreams
+    ) -> Callable[[], Step]:
+        """Hand the batches to the scheduler; what comes back waits for all of them."""
+        if self._client is None:
+            raise ConfigurationError(f"{self.label} was not started: call its start(model, config) first")
+        import dask
+
+        batches = split(model, members, memory, t, rng, self._batches)
+        there = self._addresses()
+        futures = []
+        # A batch goes where it went before, if that worker is there and free: matrices may still be kept there.
+        with dask.config.set({"distributed.admin.large-graph-warning-threshold": "100 GB"}):
+            for number, batch in enumerate(batches):
+                where = {"workers": [there[number % len(there)]], "allow_other_workers": True} if there else {}
+                futures.append(self._client.submit(step_batch, self._config, batch, pure=False, **where))
+        return partial(self._collect, model, batches, futures)
+
+    def _collect(self, model: Model, batches: Sequence[Batch], futures: Sequence[Any]) -> Step:
+        steps = []
+        for batch, future in zip(batches, futures, strict=True):
+            outcome = self._outcome(batch, future)
+            outcome.relog()
+            if outcome.error:
+                raise outcome.error
+            if outcome.step is not None:
+                steps.append(outcome.step)
+        return join(model, batches, steps)
+
+    def _outcome(self, batch: Batch, future: Any) -> Outcome:
+        from concurrent.futures import CancelledError
+
+        from distributed import KilledWorker
+
+        try:
+            outcome: Outcome = future.result()
+        except KilledWorker as error:
+            raise ComputationError(
+                f"{self.label}: one worker after the other was lost while it stepped {batch.title}"
+            ) from error
+        except (OSError, CancelledError) as error:
+            raise ComputationError(f"{self.label}: the scheduler was lost in a step: {error}") from error
+        return outcome
+
+    def close(self) -> None:
+        """Leave the cluster, and end it where it is our own."""
+        client, cluster, self._client, self._cluster = self._client, self._cluster, None, None
+        for thing in (client, cluster):
+            if thing is not None:
+                thing.close()

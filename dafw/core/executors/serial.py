@@ -1,0 +1,26 @@
+"""Executor ``serial``: the members one after the other, in this process."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+from dafw.core.ensemble import Memory, Step
+from dafw.core.executors import Executor
+from dafw.core.interfaces import Model
+from dafw.core.rng import MemberStreams
+from dafw.core.space import Array
+
+
+@dataclass
+class Serial(Executor):
+    """In this process; nothing to configure."""
+
+    name = "serial"
+
+    def submit(
+        self, model: Model, members: Array, memory: Memory | None, t: float, rng: MemberStreams
+    ) -> Callable[[], Step]:
+        """Return the model's own step, to be done when it is called."""
+        return partial(model.step_with_memory, members, memory, t, rng)

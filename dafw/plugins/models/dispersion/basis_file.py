@@ -1,0 +1,143 @@
+"""Reduced bases on disk: a folder in the cache for all that defines them, shared by all processes.
+
+    <key>/<digest>.npz     a basis, never changed; the digest is that of its bytes
+    <key>/current          the digest of the newest
+    <key>/waiting/*.npz    winds that were solved in full and wait to be taken in
+    <key>/lock             held by whoever makes or enriches a basis
+
+Everything is written beside and moved into place, so that no reader sees half a file.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import logging
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from zipfile import BadZipFile
+
+import numpy as np
+
+from dafw.core.errors import ConfigurationError
+from dafw.plugins.models.dispersion.reduced_flow import ReducedBasis
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Waiting:
+    """A wind that waits: the file, R and d (2,), its velocity (2 v,)."""
+
+    path: Path
+    parameters: np.ndarray
+    velocity: np.ndarray
+
+
+class BasisStore:
+    """The bases of one key."""
+
+    def __init__(self, folder: Path):
+        self.folder = folder
+
+    @contextmanager
+    def lock(self) -> Iterator[None]:
+        """Hold the lock, after waiting for whoever has it; a process that dies lets go of it."""
+        import fcntl
+
+        self.folder.mkdir(parents=True, exist_ok=True)
+        with (self.folder / "lock").open("w") as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                log.info("reduced basis: waiting for another process that is at work on it")
+                fcntl.flock(file, fcntl.LOCK_EX)
+            yield
+
+    def load(self, digest: str) -> ReducedBasis:
+        """Return a basis by name; raises ConfigurationError where it is missing or damaged."""
+        path = self.folder / f"{digest}.npz"
+        try:
+            content = path.read_bytes()
+        except OSError:
+            raise ConfigurationError(
+                f"wind: the reduced basis {digest} is not in the cache {self.folder.parent}; leave basis.digest empty "
+                "for the newest"
+            ) from None
+        if _digest(content) != digest:
+            raise ConfigurationError(f"wind: the reduced basis {path} is damaged; delete it")
+        with np.load(io.BytesIO(content)) as arrays:
+            return ReducedBasis(**arrays)
+
+    def newest(self) -> tuple[str, ReducedBasis] | None:
+        """Return the newest basis and its digest, None where there is none; where it is damaged, the log says so."""
+        pointer = self.folder / "current"
+        if not pointer.exists():
+            return None
+        digest = pointer.read_text(encoding="utf-8", errors="replace").strip()
+        try:
+            return digest, self.load(digest)
+        except ConfigurationError as error:
+            log.warning("%s: it is made anew", error)
+            return None
+
+    def save(self, basis: ReducedBasis) -> str:
+        """Write a basis, make it the newest, return its digest."""
+        content = _packed(**basis.arrays())
+        digest = _digest(content)
+        _place(self.folder / f"{digest}.npz", content)
+        _place(self.folder / "current", digest.encode())
+        return digest
+
+    def submit(self, reynolds: float, direction: float, velocity: np.ndarray) -> None:
+        """Leave a wind (2 v,) for the next basis."""
+        parameters = np.array([reynolds, direction])
+        content = _packed(parameters=parameters, velocity=velocity)
+        _place(self.folder / "waiting" / f"{_digest(parameters.tobytes())}.npz", content)
+
+    def waiting(self, size: int, limit: int) -> list[Waiting]:
+        """Return up to ``limit`` winds that wait, by name; a file without a velocity of ``size`` numbers is removed."""
+        found: list[Waiting] = []
+        for path in sorted((self.folder / "waiting").glob("*.npz"))[:limit]:
+            try:
+                with path.open("rb") as file, np.load(file) as arrays:
+                    wind = Waiting(path, arrays["parameters"], arrays["velocity"])
+                if wind.parameters.shape != (2,) or wind.velocity.shape != (size,):
+                    raise ValueError(f"expected {size} numbers, got shape {wind.velocity.shape}")
+            except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
+                log.warning("reduced basis: %s cannot be used (%s) and is removed", path, error)
+                path.unlink(missing_ok=True)
+                continue
+            found.append(wind)
+        return found
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()[:32]
+
+
+def _packed(**arrays: np.ndarray) -> bytes:
+    file = io.BytesIO()
+    np.savez(file, allow_pickle=False, **arrays)
+    return file.getvalue()
+
+
+def _place(path: Path, content: bytes) -> None:
+    """Write beside and move into place; raises ConfigurationError where the cache cannot be written to."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=path.parent, prefix="making-") as folder:
+            made = Path(folder) / path.name
+            with made.open("wb") as file:
+                file.write(content)
+                file.flush()
+                os.fsync(file.fileno())
+            made.replace(path)
+    except OSError as error:
+        raise ConfigurationError(
+            f"wind: cannot write to the cache {path.parent} ({error.strerror}); DAFW_CACHE moves it"
+        ) from None

@@ -1,0 +1,76 @@
+"""A study around buildings gives the same file whichever executor stepped its members, and whatever ran before."""
+
+import netCDF4
+import pytest
+
+from dafw.core.experiment import study_from
+from dafw.running import run_study
+
+
+@pytest.fixture(scope="module")
+def study(small_model):
+    def make(executor, seed=0):
+        often = {"speed_threshold": 0.01, "direction_threshold": 0.005}
+        certain = {"wind_speed_sd": 0.0, "wind_direction_sd": 0.0, "noise": 0.0}
+        return study_from(
+            {
+                "seed": seed,
+                "members": 5,
+                "cycles": 6,
+                "model": {"name": "ad_ins", **small_model, "noise": 0.1, **often},
+                "truth": {**certain, "wind_speed": 4.0},
+                "free": certain,
+                "observer": {"name": "drone", "assumed_variance": 1e-3},
+                "policy": {"name": "enie2d"},
+                "filter": {"name": "etkf"},
+                "vehicle": {"start": [[60.0, 10.0]]},
+                "record": {"members": "all"},
+                "pictures": False,
+                "executor": executor,
+            }
+        )
+
+    return make
+
+
+def contents(folder):
+    """Return the bits of everything in a run's file but the times that it took."""
+    with netCDF4.Dataset(folder / "run.nc") as file:
+        file.set_auto_mask(False)
+        return {
+            name: variable[...].tobytes()
+            for name, variable in file.variables.items()
+            if variable.dtype is not str and name != "phase_seconds"
+        }
+
+
+@pytest.fixture(scope="module")
+def alone(study, tmp_path_factory):
+    """The file of the serial executor, the first run of its process."""
+    folder = tmp_path_factory.mktemp("alone") / "run"
+    run_study(study({"name": "serial"}), folder)
+    return contents(folder)
+
+
+def test_the_study_solves_winds_anew_in_most_cycles(study, alone, tmp_path):
+    run_study(study({"name": "serial"}), tmp_path / "again")
+    assert contents(tmp_path / "again") == alone
+    with netCDF4.Dataset(tmp_path / "again" / "run.nc") as file:
+        assert (file["model_wind_solved"][2:].sum(axis=1) > 0).sum() >= 2
+
+
+@pytest.mark.parametrize("workers", [1, 2, 3])
+def test_processes_give_the_same_bits(study, alone, tmp_path, workers):
+    run_study(study({"name": "processes", "workers": workers}), tmp_path / "run")
+    assert contents(tmp_path / "run") == alone
+
+
+def test_a_cluster_that_has_run_something_else_gives_the_same_bits(study, alone, tmp_path):
+    from distributed import LocalCluster
+
+    with LocalCluster(n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None) as cluster:
+        dask = {"name": "dask", "address": cluster.scheduler_address, "workers": 1}
+        run_study(study(dask, seed=1), tmp_path / "other")
+        run_study(study(dask | {"workers": None}), tmp_path / "run")
+    assert contents(tmp_path / "other") != alone
+    assert contents(tmp_path / "run") == alone

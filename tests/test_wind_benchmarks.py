@@ -1,0 +1,48 @@
+"""The benchmarks of the wind run; the drag of the published flow comes out, on a coarse mesh, as far as that can."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+NAMES = [
+    "wind.accelerated_over_newton",
+    "wind.reduced_over_newton",
+    "wind.reduced_error_median",
+    "wind.reduced_error_p95",
+    "ad.step_over_scratch",
+    "wind.cylinder_drag_error",
+]
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory):
+    file = tmp_path_factory.mktemp("benchmarks") / "results.json"
+    done = subprocess.run(
+        [sys.executable, "-m", "benchmarks", *NAMES, "--short", "--json", str(file)],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return {result["name"]: result for result in json.loads(file.read_text())}
+
+
+def test_all_of_them_run(results):
+    assert list(results) == NAMES
+    assert all(result["value"] > 0.0 for result in results.values())
+
+
+def test_a_step_is_the_same_as_from_scratch(results):
+    assert results["ad.step_over_scratch"]["detail"]["largest_difference"] < 1e-8
+
+
+def test_drag_lift_and_pressure_difference_of_a_cylinder(results):
+    ((_, drag, lift, pressure),) = results["wind.cylinder_drag_error"]["detail"]["unknowns_drag_lift_pressure"]
+    assert drag == pytest.approx(5.57953523384, rel=0.012)
+    assert lift == pytest.approx(0.010618948146, abs=0.006)  # 0.1 % of the drag
+    assert pressure == pytest.approx(0.11752016697, rel=0.012)
