@@ -173,7 +173,8 @@ def errors(short: bool) -> tuple[np.ndarray, np.ndarray]:
     found = []
     for intensity, direction in draws(4 if short else UNSEEN, measured.options.basis.max_intensity):
         full = problem.velocity(measured.accelerated.solve(intensity, direction).unit)  # to Newton's own tolerance
-        wind = flow.solve(measured.newton.reynolds(intensity), direction)
+        accepted = measured.options.basis.tolerance
+        wind = flow.solve(measured.newton.reynolds(intensity), direction, accepted)
         error = flow.basis.velocities @ wind.coefficients - full
         found.append((np.sqrt(error @ (mass @ error) / (full @ (mass @ full))), wind.error))
     actual, estimated = np.array(found).T

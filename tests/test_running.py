@@ -124,6 +124,17 @@ def refused(words, capsys, message):
         (["run", "vehicle.start=[[1e6,0]]"], "vehicle 0 cannot start"),
         (["run", "model.site.file=missing.geojson"], "missing.geojson"),
         (["run", "model.mesh.wall_size=-3"], "above 0"),
+        (["run", "section=[[9999,0],[9999,10]]"], "lies outside the domain"),
+        (["run", "observer=stations"], "at least one place"),
+        (["run", "observer=stations", "observer.positions=[[1e6,0]]"], "lies outside the domain"),
+        (["run", "observer=stations", "observer.positions=[[0,0]]", "observer.every=1.5"], "no multiple of the time"),
+        (["run", "observer.variable=heat"], "no state variable 'heat'"),
+        (["run", "policy.variable=wind_speed"], "no coordinates in the plane"),
+        (["run", "filter=kalman"], "more members than the state has numbers"),
+        (["run", "-m", "seed=1,1"], "the same job twice"),
+        (["run", "--config-path", "my"], "--config-path would replace"),
+        (["run", "--foo"], "unrecognized arguments: --foo"),
+        (["run", "hydra.job.chdir=true"], "hydra.job.chdir"),
         (["plugins", "etfk"], "no plugin 'etfk'"),
         (["plugins", "--what"], "unrecognized arguments: --what"),
         (["plot"], "the following arguments are required: RUN"),
@@ -153,6 +164,45 @@ def test_a_computation_that_fails_keeps_what_was_done_and_says_where(folder, cap
     assert (summary["status"], summary["cycles"]) == ("failed", 2) and "singular" in summary["error"]
     with dafw.open_run(path) as run:
         assert run.sizes["time"] == 3
+
+
+def test_a_folder_that_holds_a_run_is_left_as_it_is(folder, capsys):
+    assert main([*RUN, "hydra.run.dir=here"]) == 0
+    before = {path: path.read_bytes() for path in Path("here").rglob("*") if path.is_file()}
+    assert main([*RUN, "hydra.run.dir=here", "seed=2"]) == 2
+    assert "holds a run already" in capsys.readouterr().err
+    assert before == {path: path.read_bytes() for path in Path("here").rglob("*") if path.is_file()}
+
+
+def test_a_full_disk_is_a_failed_run(folder, capsys, monkeypatch):
+    from dafw.core.record import Record
+
+    append = Record.append
+
+    def full(self, cycle):
+        if cycle.state.cycle == 3:
+            raise OSError(28, "No space left on device")
+        return append(self, cycle)
+
+    monkeypatch.setattr(Record, "append", full)
+    assert main(RUN) == 1
+    assert "No space left on device" in capsys.readouterr().err
+    path = next((folder / "outputs" / "quick").iterdir())
+    summary = json.loads((path / "summary.json").read_text())
+    assert summary["status"] == "failed" and "No space left" in summary["error"]
+
+
+def test_a_picture_that_cannot_be_drawn_does_not_spoil_the_run(folder, capsys, monkeypatch):
+    def fail(run, where):
+        raise dafw.RunError("no ink")
+
+    monkeypatch.setattr("dafw.figures.draw_all", fail)
+    assert main([*RUN, "pictures=true"]) == 0
+    captured = capsys.readouterr()
+    assert "no ink" in captured.err
+    assert (
+        json.loads((Path(captured.out.strip().splitlines()[-1]) / "summary.json").read_text())["status"] == "complete"
+    )
 
 
 def background_run(folder, *more):

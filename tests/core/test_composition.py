@@ -58,6 +58,12 @@ def test_one_word_changes_the_filter():
         (["model.release=[1]"], "one place"),
         (["=="], "(?i)error parsing override"),
         (["record.members=some"], "one of none, parameters, all"),
+        (["seed=99999999999999999999999"], "at most"),
+        (["section=[[1,2]]"], "two corners or more"),
+        (["name=../../x"], "names a folder"),
+        (["name="], "names a folder"),
+        (["model.wind_speed=0"], "wind_speed_sd must be 0 or between"),
+        (["truth.name=ad"], r"write \+truth.name"),
     ],
 )
 def test_a_wrong_request_is_refused_in_one_line(overrides, message):
@@ -74,6 +80,9 @@ def test_a_wrong_request_is_refused_in_one_line(overrides, message):
         "+model.site._target_=os.system",
         "+hydra.job_logging.handlers.x.class=subprocess.Popen",
         "hydra.launcher._target_=subprocess.Popen",
+        "+hydra.callbacks.x._target_=logging.os.mkdir",
+        "+hydra.callbacks.x._target_=hydra.core.utils.run_job",
+        "+hydra.callbacks.x._target_=hydra_plugins.acme.LauncherOfEvil.os.system",
     ],
 )
 def test_no_configuration_has_code_of_its_own_run(override):

@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 from toys import Counting, Growth, Hop, Nudge, OneNode, toy_parts
 
-from dafw import ComputationError, ConfigurationError, ContractError, Filter, Route, Vehicle
+from dafw import ComputationError, ConfigurationError, ContractError, Diagnostic, Domain, Filter, Route, Vehicle
 from dafw.core.cycle import advance, start
 from dafw.core.ensemble import Analysis
 from dafw.core.rng import Streams
 
-VEHICLE = Vehicle(np.zeros((1, 2)), speed=1.0, dt=2.0)
+POST = np.array([[1.35, 1.35], [1.4, 1.35], [1.4, 1.4]])
+VEHICLE = Vehicle(np.zeros((1, 2)), speed=1.0, dt=2.0, airspace=Domain((-50.0, -50.0, 50.0, 50.0), (POST,)))
 
 
 def fly(parts, cycles, n_members=5, state=None):
@@ -141,6 +142,21 @@ class Absent(Hop):
         return Route((np.array([[5.0, 5.0]]),))
 
 
+class ThroughTheWall(Hop):
+    def decide(self, belief, vehicle, rng):
+        return Route((np.array([[0.0, 0.0], [1.41, 1.41]]),))
+
+
+class Chatty(Nudge):
+    def analyse(self, forecast, predicted, observation, rng):
+        return Analysis(forecast.members, diagnostics={"mood": Diagnostic("fine")})
+
+
+class Miscounting(Nudge):
+    def analyse(self, forecast, predicted, observation, rng):
+        return Analysis(forecast.members, diagnostics={"gain": Diagnostic(np.ones(3), ("a", "b"))})
+
+
 class Wordy(Nudge):
     def analyse(self, forecast, predicted, observation, rng):
         return Analysis(np.full(forecast.members.shape, "x"))
@@ -163,6 +179,9 @@ class Meddling(Nudge):
         ({"policy": Teleporting()}, ContractError, "policy 'Teleporting': vehicle 0 would fly 100 m, it can fly 2 m"),
         ({"policy": Forgetful()}, ContractError, "1 vehicles, but 0 paths"),
         ({"policy": Absent()}, ContractError, "does not begin at"),
+        ({"policy": ThroughTheWall()}, ContractError, "vehicle 0 would fly out of the domain or into a building"),
+        ({"filter": Chatty()}, ContractError, "filter 'Chatty': diagnostic 'mood' must hold numbers"),
+        ({"filter": Miscounting()}, ContractError, "diagnostic 'gain'.*one of its dims"),
         ({"filter": Wordy()}, ContractError, "filter 'Wordy'.*real numbers"),
         ({"filter": Meddling()}, ComputationError, "filter 'Meddling' raised ValueError.*read-only"),
         ({"filter": Filter()}, ComputationError, "filter 'Filter' must define analyse"),

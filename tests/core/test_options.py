@@ -81,6 +81,14 @@ def test_options_are_described_with_dotted_names():
     assert describe(Required)[0].default == "(required)"
 
 
+def test_a_subclass_with_options_of_its_own_must_be_a_dataclass_itself():
+    class Forgotten(Required):
+        share: float = 0.5
+
+    with pytest.raises(OptionError, match="Forgotten is not a dataclass"):
+        describe(Forgotten)
+
+
 def test_a_class_that_is_no_dataclass_is_named():
     class Plain:
         value: int = 3

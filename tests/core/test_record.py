@@ -3,12 +3,23 @@
 import numpy as np
 import pytest
 import xarray
-from toys import AIRSPACE, toy_parts
+from toys import AIRSPACE, Growth, toy_parts
 
-from dafw import Domain, RunError, Vehicle, open_run
+from dafw import Domain, RunError, StateSpace, Variable, Vehicle, open_run
 from dafw.core.cycle import advance, start
 from dafw.core.ensemble import Diagnostic, Route
 from dafw.core.record import Record
+
+
+class Still(Growth):
+    """Any state, and nothing happens to it."""
+
+    def initial(self, n_members, rng):
+        return np.ones((n_members, self.space.size))
+
+    def step(self, members, t, rng):
+        return members
+
 
 VEHICLE = Vehicle(np.zeros((1, 2)), speed=1.0, dt=2.0)
 
@@ -57,6 +68,21 @@ def test_rows_are_the_states_after_so_many_cycles(tmp_path):
             assert run["err"][row] == pytest.approx(expected, rel=1e-14)
         assert np.isnan(run["gas_forecast_mean"][0]).all() and run["gas_mean"][0].notnull().all()
         np.testing.assert_array_equal(run["vehicle_x"][:, 0], [0.0, 1.0, 2.0, 3.0])
+
+
+def test_fields_share_a_dimension_only_where_they_share_their_places(tmp_path):
+    parts = toy_parts()
+    elsewhere = Variable("heat", 4, coordinates=parts.model.space["gas"].coordinates + 1.0)
+    beside = Variable("mist", 4, coordinates=parts.model.space["gas"].coordinates.copy())
+    space = StateSpace([parts.model.space["gas"], elsewhere, beside, Variable("few", 3)])
+    parts = toy_parts(**{role: Still(space=space) for role in ("model", "truth", "free")})
+    record, _ = record_run(tmp_path / "run.nc", parts, members=())
+    record.close()
+    with xarray.open_dataset(tmp_path / "run.nc", decode_coords=False) as run:
+        assert run["gas_mean"].dims == run["mist_mean"].dims == ("time", "node")
+        assert run["heat_mean"].dims == ("time", "node_heat") and run["few_mean"].dims == ("time", "node_few")
+        assert run["heat_mean"].attrs["coordinates"] == "node_heat_x node_heat_y"
+        assert "mesh" not in run["gas_mean"].attrs and "coordinates" not in run["few_mean"].attrs
 
 
 def test_it_opens_while_it_is_written(tmp_path):

@@ -111,6 +111,19 @@ def test_variables_that_make_no_sense_are_refused(arguments, message):
         Variable(**arguments)
 
 
+def test_spaces_agree_when_they_mean_the_same_at_the_same_places():
+    places = np.zeros((2, 2))
+    space = StateSpace([Variable("gas", 2, NONNEGATIVE, coordinates=places)])
+    assert space.agrees(StateSpace([Variable("gas", 2, NONNEGATIVE, coordinates=places.copy())]))
+    for other in (
+        Variable("heat", 2, NONNEGATIVE, coordinates=places),
+        Variable("gas", 2, FIELD, coordinates=places),
+        Variable("gas", 2, NONNEGATIVE, coordinates=places + 1.0),
+        Variable("gas", 2, NONNEGATIVE),
+    ):
+        assert not space.agrees(StateSpace([other]))
+
+
 def test_an_unknown_variable_is_refused_with_the_names_there_are():
     with pytest.raises(ConfigurationError, match="height, gas, direction"):
         SPACE.slice("temperature")

@@ -40,7 +40,7 @@ class ReducedWindSolver(AcceleratedWindSolver):
 
     def _solve(self, intensity: float, direction: float, start: np.ndarray | None) -> WindSolution:
         reynolds = self.reynolds(intensity)
-        reduced = self.flow.solve(reynolds, direction)
+        reduced = self.flow.solve(reynolds, direction, self.options.basis.tolerance)
         trusted = reduced.error <= self.options.basis.tolerance
         coefficients = reduced.coefficients
         if not trusted:  # what travels must be finite, and still say the direction

@@ -19,7 +19,7 @@ class ReducedAdvection:
         self._trusts = solver.trusts
         velocities = solver.flow.basis.velocities
         function = fem.Function(solver.problem.velocity_space)
-        self._matrices = np.empty((transport.indices.size, velocities.shape[1]))
+        self._matrices = np.empty((transport.indices.size, velocities.shape[1]), order="F")
         for column, velocity in enumerate(velocities.T):
             function.x.array[:] = velocity
             self._matrices[:, column] = transport.advection(function)
@@ -30,4 +30,5 @@ class ReducedAdvection:
 
     def matrix(self, unit: np.ndarray, intensity: float) -> np.ndarray:
         """Return the CSR values for a unit wind (n + 1,) of the reduced basis and its intensity in m/s."""
-        return self._matrices @ (intensity * unit[:-1])
+        used = 1 + int(np.flatnonzero(unit[:-1])[-1])  # the first so many modes, where they did
+        return self._matrices[:, :used] @ (intensity * unit[:used])

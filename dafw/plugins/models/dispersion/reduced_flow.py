@@ -62,26 +62,36 @@ class ReducedFlow:
     def __init__(self, basis: ReducedBasis):
         self.basis = basis
         modes = basis.quadratic.shape[0]
-        # Half of the modes cost an eighth of the work and find nearly all of the way.
-        self._stages = [np.ascontiguousarray(basis.quadratic[:r, : r + 2, : r + 2]) for r in (modes // 2, modes)]
+        # Half of the modes cost an eighth of the work, and mostly do.
+        sizes = (modes // 2, 3 * modes // 4, modes)
+        self._stages = [np.ascontiguousarray(basis.quadratic[:r, : r + 2, : r + 2]) for r in sizes]
         n = modes + 2
         self._pairs = np.triu_indices(n)
         self._weights = np.where(self._pairs[0] == self._pairs[1], 1.0, 2.0)
 
-    def solve(self, reynolds: float, direction: float) -> ReducedWind:
-        """Return the wind of a unit Reynolds number (1/m) and a direction; an infinite error where there is none."""
+    def solve(self, reynolds: float, direction: float, accepted: float = 0.0) -> ReducedWind:
+        """Return the wind of a unit Reynolds number (1/m) and a direction; an infinite error where there is none.
+
+        No more modes are used, and the other coefficients zero, once the estimated error is at most ``accepted``.
+        """
         turn = np.exp(1j * (self.basis.parameters[:, 1] - direction))
         scale = max(float(self.basis.parameters[:, 0].max()), 1e-300)
         distance = np.abs(np.angle(turn)) + np.abs(self.basis.parameters[:, 0] - reynolds) / scale
         nearest = self.basis.coefficients[np.argmin(distance)]
-        coefficients = np.concatenate([[np.cos(direction), np.sin(direction)], nearest])
-        iterations = 0
+        first = self._stages[0].shape[1]
+        coefficients = np.zeros(2 + nearest.size)
+        coefficients[:2] = np.cos(direction), np.sin(direction)
+        coefficients[2:first] = nearest[: first - 2]
+        error, iterations = np.inf, 0
         for tensor in self._stages:
-            n = tensor.shape[1]
-            iterations += newton(tensor, reynolds, coefficients[:n])
-        if not np.isfinite(coefficients).all() or iterations >= MAX_ITERATIONS:
-            return ReducedWind(coefficients, np.inf, iterations)
-        return ReducedWind(coefficients, self.error(reynolds, coefficients), iterations)
+            more = newton(tensor, reynolds, coefficients[: tensor.shape[1]])
+            iterations += more
+            if more == MAX_ITERATIONS or not np.isfinite(coefficients).all():
+                return ReducedWind(coefficients, np.inf, iterations)
+            error = self.error(reynolds, coefficients)
+            if error <= accepted:
+                break
+        return ReducedWind(coefficients, error, iterations)
 
     def error(self, reynolds: float, coefficients: np.ndarray) -> float:
         """Return the estimated L2 error of the velocity with these coefficients (n,), relative to its L2 norm."""

@@ -116,17 +116,18 @@ def test_all_modes_give_the_snapshots_back_exactly(block, reference, space, tmp_
     monkeypatch.setenv("DAFW_CACHE", str(tmp_path))
     few = BasisOptions(directions=4, levels=1, max_intensity=2.0, modes=100)
     solver = wind_solver(block, WindOptions(viscosity=VISCOSITY, solver="reduced", basis=few))
-    for _, direction in solver.flow.basis.parameters:
+    for reynolds, direction in solver.flow.basis.parameters:
         wanted = reference.problem.velocity(reference.solve(2.0, direction).unit)
-        found = solver.velocity(solver.solve(2.0, direction), 1.0)
-        assert relative_error(space, found.x.array, wanted) < 1e-6
+        found = solver.flow.basis.velocities @ solver.flow.solve(reynolds, direction).coefficients
+        assert relative_error(space, found, wanted) < 1e-6
 
 
-def test_the_estimate_bounds_the_error_of_winds_it_never_saw(solver, reference, space):
+@pytest.mark.parametrize("accepted", [0.0, 0.01, 0.05])
+def test_the_estimate_bounds_the_error_of_winds_it_never_saw(solver, reference, space, accepted):
     rng = np.random.default_rng(3)
     ratios = []
     for intensity, direction in zip(rng.uniform(0.2, 5.0, 16), rng.uniform(0.0, 2 * np.pi, 16), strict=True):
-        found = solver.flow.solve(intensity / VISCOSITY, direction)
+        found = solver.flow.solve(intensity / VISCOSITY, direction, accepted)
         wanted = reference.problem.velocity(reference.solve(intensity, direction).unit)
         error = relative_error(space, solver.flow.basis.velocities @ found.coefficients, wanted)
         assert error <= found.error
@@ -158,6 +159,14 @@ def test_what_the_basis_does_not_know_is_solved_in_full(block, solver, reference
     np.testing.assert_allclose(wind.x.array, exact.x.array, atol=1e-5)
     fresh = ReducedWindSolver(block, pinned(solver))
     np.testing.assert_array_equal(fresh.velocity(found.unit, strong).x.array, wind.x.array)
+
+
+def test_a_coarser_tolerance_takes_fewer_modes(solver):
+    exact = solver.flow.solve(0.1, 0.4)
+    coarse = solver.flow.solve(0.1, 0.4, accepted=2.0 * solver.flow.solve(0.1, 0.4, accepted=np.inf).error)
+    assert np.count_nonzero(coarse.coefficients[2:]) == BASIS.modes // 2
+    assert np.count_nonzero(exact.coefficients[2:]) == BASIS.modes
+    assert exact.error < coarse.error
 
 
 @pytest.mark.parametrize("kind", [AcceleratedWindSolver, ReducedWindSolver])
