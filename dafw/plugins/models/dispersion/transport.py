@@ -16,6 +16,10 @@ from dafw.core.errors import ContractError, SolverError
 from dafw.core.options import option
 from dafw.plugins.models.dispersion.mesh import OUTER, TaggedMesh
 
+RESTARTS = 3
+BREAKDOWN = -5
+"""PETSc's reason where BiCGStab's search directions became orthogonal, which a restart mends."""
+
 
 @dataclass
 class TransportOptions:
@@ -164,6 +168,10 @@ class TransportSystem:
         self._right.array[:] = concentration
         self._right.array[transport.outer] = 0.0
         self._solver.solve(self._left, self._right)
+        for _ in range(RESTARTS):
+            if self._solver.getConvergedReason() != BREAKDOWN:
+                break
+            self._solver.solve(self._left, self._right)  # from where it came to
         reason, after = self._solver.getConvergedReason(), self._right.array.copy()
         if reason <= 0 or not np.isfinite(after).all():
             raise SolverError(
