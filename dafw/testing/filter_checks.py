@@ -153,6 +153,16 @@ def own_generator(factory: Factory) -> None:
 
 
 @check("filter")
+def told_covariance(factory: Factory) -> None:
+    """A filter knows the errors of the readings as it is told them: how the noise was really drawn is the truth's."""
+    problem = linear_problem(8)
+    operator = dataclasses.replace(problem.operator, noise_covariance=7.0 * problem.operator.covariance)
+    other = dataclasses.replace(problem, operator=operator)
+    first, second = analysed(factory(), problem).members, analysed(factory(), other).members
+    require_same_bits(first, second, "the analysis changes with a noise that the filter is not told")
+
+
+@check("filter")
 def member_order(factory: Factory) -> None:
     """Members are exchangeable: a forecast with its members in another order has the same analysis in that order."""
     order = np.array([3, 0, 5, 1, 4, 2])

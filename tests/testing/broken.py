@@ -81,6 +81,12 @@ class GlobalGenerator(Moved):
         return members + 0.0 * np.random.standard_normal()  # noqa: NPY002
 
 
+@breaks("told_covariance")
+class PeeksAtTheNoise(Moved):
+    def move(self, members, forecast, observation):
+        return members + 1e-3 * np.any(observation.operator.noise != observation.covariance)
+
+
 @breaks("member_order")
 class FirstMemberFirst(ETKF):
     """Mean and covariance are exact; which member gets which anomaly depends on its number."""
