@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 
 from dafw.core.ensemble import Memory, Step
 from dafw.core.executors import Executor
@@ -22,5 +21,6 @@ class Serial(Executor):
     def submit(
         self, model: Model, members: Array, memory: Memory | None, t: float, rng: MemberStreams
     ) -> Callable[[], Step]:
-        """Return the model's own step, to be done when it is called."""
-        return partial(model.step_with_memory, members, memory, t, rng)
+        """Do the model's own step; return a function that gives it."""
+        step = model.step_with_memory(members, memory, t, rng)
+        return lambda: step

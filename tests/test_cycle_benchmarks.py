@@ -1,0 +1,36 @@
+"""The benchmarks of whole cycles run, and compare what they say they compare."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+NAMES = ["cycle.realtime_factor_n10", "cycle.over_literal", "cycle.overhead_ms"]
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory):
+    file = tmp_path_factory.mktemp("benchmarks") / "results.json"
+    words = [sys.executable, "-m", "benchmarks", *NAMES, "--short", "--json", str(file)]
+    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return {result["name"]: result for result in json.loads(file.read_text())}
+
+
+def test_all_of_them_run(results):
+    assert list(results) == NAMES
+    assert all(result["value"] > 0.0 for result in results.values())
+
+
+def test_both_configurations_come_to_the_same_belief(results):
+    detail = results["cycle.over_literal"]["detail"]
+    assert detail["err_best"] == pytest.approx(detail["err_literal"], rel=1e-3)
+
+
+def test_the_parts_of_a_cycle_fit_into_it(results):
+    detail = results["cycle.overhead_ms"]["detail"]
+    parts = sum(detail[f"{part}_ms"] for part in ("model", "filter", "policy", "observer"))
+    assert 0.0 < parts < detail["cycle_ms"]
