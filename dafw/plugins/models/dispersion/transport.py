@@ -145,6 +145,7 @@ class TransportSystem:
         solver.setPCSide(PETSc.PC.Side.RIGHT)  # so that the norm watched is that of the true residual
         solver.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
         solver.getPC().setType("ilu")
+        solver.getPC().setFactorLevels(1)  # without fill, a strong wind can keep BiCGStab from converging
         solver.setInitialGuessNonzero(True)
         options = transport.options
         solver.setTolerances(rtol=options.tolerance, atol=0.0, max_it=options.max_iterations)
