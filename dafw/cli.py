@@ -56,10 +56,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _refuse(" ".join(str(error).split()), error.exit_status)
     except KeyboardInterrupt as stop:
         return _refuse(f"interrupted: {stop}".removesuffix(": "), 130)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
     except OSError as error:
-        if isinstance(error, BrokenPipeError):
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            return 1
         return _refuse(" ".join(str(error).split()))
 
 

@@ -72,22 +72,25 @@ class EnIE2D(Policy):
 
     def suit(self, space: StateSpace) -> None:
         """Raise ConfigurationError where the variable is not there or has no coordinates in the plane."""
+        self._coordinates(space)
+
+    def _coordinates(self, space: StateSpace) -> Array:
+        """Return where the variable's numbers are, (M, 2) in metres."""
         coordinates = space[self.variable].coordinates
         if coordinates is None or coordinates.shape[1] != 2:
             raise ConfigurationError(f"{self.label}: the variable '{self.variable}' has no coordinates in the plane")
+        return coordinates
 
     def decide(self, belief: Ensemble, vehicle: Vehicle, rng: np.random.Generator) -> Route:
         """Return one straight leg for each vehicle, decided by itself."""
-        variable = belief.space[self.variable]
-        if variable.coordinates is None:
-            raise ConfigurationError(f"{self.label}: the variable '{self.variable}' has no coordinates")
+        coordinates = self._coordinates(belief.space)
         part = belief.space.slice(self.variable)
         theta = self.weight(belief.time)
         scores = np.empty((len(vehicle.positions), self.sectors))
         paths, notes = [], []
         for number, position in enumerate(vehicle.positions):
             scores[number] = sector_scores(
-                belief.members[:, part], belief.mean[part], variable.coordinates, position, self.sectors, theta
+                belief.members[:, part], belief.mean[part], coordinates, position, self.sectors, theta
             )
             path = self._leg(position, int(np.argmax(scores[number])), vehicle)
             if len(path) == 1:
