@@ -11,7 +11,7 @@ A start that is handed in serves only where the reduced basis has none.
 
 from __future__ import annotations
 
-from collections import OrderedDict
+from collections import OrderedDict, deque
 
 import numpy as np
 
@@ -21,14 +21,15 @@ from dafw.plugins.models.dispersion.newton import Iterate, Newton
 from dafw.plugins.models.dispersion.reduced_flow import ReducedFlow, ReducedWind
 from dafw.plugins.models.dispersion.wind import WindOptions, WindSolution, WindSolver
 
-DIRECTIONS = 48
+DIRECTIONS = 80
+"""At R = 1/m; weaker winds look more alike, and the lattice has sqrt(R) of that all round."""
 RATIO = 2.0
 WEAKEST = 0.01
 """1/m; from here up the lattice has a factor ``RATIO`` between its Reynolds numbers, below there is Stokes flow."""
 STRONGEST = 0.25
 """1/m; above, the Jacobian of a wind of the lattice helps little, and Newton's method goes its own way at once."""
-KEPT = 12
-"""Factorisations kept; one takes 170 MB on 10,000 nodes."""
+KEPT_MEGABYTES = 2000
+"""Memory for kept factorisations; one takes 90 MB on 10,000 nodes."""
 DEPTH = 5
 """Steps that are mixed."""
 MAX_STEPS = 14
@@ -77,10 +78,11 @@ class AcceleratedWindSolver(WindSolver):
     ) -> Iterate:
         """Iterate from ``start`` (n,) while it pays; the residual is that of the vector handed out."""
         factorised = self._factorisation(reynolds, direction, fixed)
-        velocity = self.problem.velocity_dofs
         x, best, least = start, start, np.inf
-        points: list[np.ndarray] = []
-        steps: list[np.ndarray] = []
+        last_step = last_mixed = start
+        changes: deque[np.ndarray] = deque(maxlen=DEPTH)
+        both: deque[np.ndarray] = deque(maxlen=DEPTH)
+        # Differences between neighbouring steps, and between where they led to.
         for count in range(MAX_STEPS + 1):
             force = self.problem.residual(x, reynolds)
             force[fixed] = 0.0
@@ -91,31 +93,36 @@ class AcceleratedWindSolver(WindSolver):
             if norm <= target or count == MAX_STEPS or (count > 1 and not norm <= SLOW * before):
                 break
             step = -factorised.back_substitute(force)
-            if count:
-                points.append(x)
-                steps.append(step)
-            x = x + step
+            mixed = x + step
             if count > 1:
-                moved, changed = (np.diff(rows[-DEPTH - 1 :], axis=0) for rows in (points, steps))
-                of_velocity = changed[:, velocity]
-                products = of_velocity @ of_velocity.T
-                weights = np.linalg.lstsq(products, of_velocity @ step[velocity], rcond=1e-12)[0]
-                x = x - weights @ (moved + changed)
+                changes.append(step - last_step)
+                both.append(mixed - last_mixed)
+                matrix = np.stack(changes)
+                products = matrix @ matrix.T
+                scale = np.sqrt(np.diagonal(products))
+                scaled = products / np.outer(scale, scale)
+                weights = np.linalg.lstsq(scaled, matrix @ step / scale, rcond=1e-14)[0] / scale
+                x = mixed - weights @ np.stack(both)
+            else:
+                x = mixed
+            last_step, last_mixed = step, mixed
         return Iterate(best, least, 0, bool(least <= target))
 
     def _factorisation(self, reynolds: float, direction: float, fixed: np.ndarray) -> Newton:
         """Return the factorised Jacobian of the wind on the lattice that is next to R and d."""
-        turn = round(direction / (2.0 * np.pi) * DIRECTIONS) % DIRECTIONS
         level = 0
         if reynolds >= WEAKEST:
             level = 1 + round(float(np.log(reynolds / WEAKEST) / np.log(RATIO)))
-        point = (level, turn if level else 0)
+        lattice_reynolds = WEAKEST * RATIO ** (level - 1) if level else 0.0
+        directions = max(1, round(DIRECTIONS * np.sqrt(lattice_reynolds)))
+        turn = round(direction / (2.0 * np.pi) * directions) % directions
+        point = (level, turn)
         if point in self._kept:
             self._kept.move_to_end(point)
             return self._kept[point]
-        factorised = self._kept.popitem(last=False)[1] if len(self._kept) == KEPT else Newton(self.problem)
-        lattice_reynolds = WEAKEST * RATIO ** (level - 1) if level else 0.0
-        wind = self.flow.solve(lattice_reynolds, 2.0 * np.pi * point[1] / DIRECTIONS)
+        full = self._kept and len(self._kept) * next(iter(self._kept.values())).megabytes >= KEPT_MEGABYTES
+        factorised = self._kept.popitem(last=False)[1] if full else Newton(self.problem, single=True)
+        wind = self.flow.solve(lattice_reynolds, 2.0 * np.pi * turn / directions)
         factorised.factorise(self.problem.jacobian(self._mixed(wind), lattice_reynolds), fixed)
         self._kept[point] = factorised
         return factorised

@@ -167,12 +167,17 @@ class AdvectionDiffusion(Model):
         return self._transport.uniform_velocity(speed, direction)
 
     def _system(self, member: int, wind: Array) -> TransportSystem:
-        """Return the member's matrix: kept while its wind stays the same to the last bit."""
-        kept = self._systems.get(member)
+        """Return the member's matrix: kept while its wind stays the same to the last bit.
+
+        Where there are more members than matrices are kept, the others share one that is made for each anew.
+        """
+        slot = min(member, self._transport.systems_kept)
+        kept = self._systems.get(slot)
         if kept is None or not np.array_equal(kept[0], wind):
-            self._systems[member] = kept = (wind.copy(), self.system(wind))
+            self._systems.pop(slot, None)  # made over, it is no longer what it was, even if that fails
+            self._systems[slot] = kept = (wind.copy(), self.system(wind, kept[1] if kept else None))
         return kept[1]
 
-    def system(self, wind: Array) -> TransportSystem:
-        """Return the steps of the gas in the wind that ``winds`` defined for one member (k,)."""
-        return self._transport.system(self.velocity(wind))
+    def system(self, wind: Array, reuse: TransportSystem | None = None) -> TransportSystem:
+        """Return the steps of the gas in the wind that ``winds`` defined for one member (k,); ``reuse`` is given up."""
+        return self._transport.system(self.velocity(wind), reuse)

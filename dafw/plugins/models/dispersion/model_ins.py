@@ -121,9 +121,9 @@ class AdvectionDiffusionINS(AdvectionDiffusion):
 
         return ReducedAdvection(self._transport, self.solver)
 
-    def system(self, wind: Array) -> TransportSystem:
-        """Return the steps of the gas in the wind of one member."""
+    def system(self, wind: Array, reuse: TransportSystem | None = None) -> TransportSystem:
+        """Return the steps of the gas in the wind of one member; ``reuse`` is given up."""
         reduced = self._reduced_advection
         if reduced is None or not reduced.holds(wind[:-1]):
-            return super().system(wind)
-        return self._transport.system_of(reduced.matrix(wind[:-1], wind[-1]))
+            return super().system(wind, reuse)
+        return self._transport.system_of(reduced.matrix(wind[:-1], wind[-1]), reuse)

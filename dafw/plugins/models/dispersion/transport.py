@@ -17,6 +17,8 @@ from dafw.core.options import option
 from dafw.plugins.models.dispersion.mesh import OUTER, TaggedMesh
 
 RESTARTS = 3
+SYSTEMS_BYTES = 2e9
+"""Memory of one process for the systems of its members."""
 BREAKDOWN = -5
 """PETSc's reason where BiCGStab's search directions became orthogonal, which a restart mends."""
 
@@ -73,6 +75,12 @@ class Transport:
         self._fixed_entries = fixed[rows] | fixed[self.indices]
         self._fixed_diagonal = fixed[rows] & (rows == self.indices)
 
+    @property
+    def systems_kept(self) -> int:
+        """For how many members a process keeps a system of its own; the others share one."""
+        bytes_of_one = 40 * self.indices.size  # two matrices on one pattern and the incomplete factors
+        return max(1, int(SYSTEMS_BYTES / bytes_of_one))
+
     def _intrinsic_time(self, mesh: Any) -> Any:
         """Return the time scale of SUPG; Shakib et al. 1991, doi:10.1016/0045-7825(91)90041-4, with element metric."""
         import ufl
@@ -92,16 +100,19 @@ class Transport:
         function.x.array.reshape(-1, 2)[:] = intensity * np.array([np.cos(direction), np.sin(direction)])
         return function
 
-    def system(self, velocity: Any) -> TransportSystem:
-        """Return the steps in one wind: ``velocity`` is a DOLFINx vector function (m/s) of the mesh, P2 or less."""
+    def system(self, velocity: Any, reuse: TransportSystem | None = None) -> TransportSystem:
+        """Return the steps in one wind: ``velocity`` is a DOLFINx vector function (m/s) of the mesh, P2 or less.
+
+        ``reuse`` is a system of this transport that is given up; to make it over takes half the time.
+        """
         advection = self.advection(velocity)
         if self._advected_mass is None:
-            return self.system_of(advection)
-        return self._system(advection, (self._mass + self._assemble(self._advected_mass)) / self.dt)
+            return self.system_of(advection, reuse)
+        return self._system(advection, (self._mass + self._assemble(self._advected_mass)) / self.dt, reuse)
 
-    def system_of(self, advection: np.ndarray) -> TransportSystem:
+    def system_of(self, advection: np.ndarray, reuse: TransportSystem | None = None) -> TransportSystem:
         """Return the steps in one wind from its advection matrix; Galerkin's scheme alone, where that is all of it."""
-        return self._system(advection, self._mass / self.dt)
+        return self._system(advection, self._mass / self.dt, reuse)
 
     def advection(self, velocity: Any) -> np.ndarray:
         """Return the advection matrix of a wind as CSR values on (``indptr``, ``indices``).
@@ -111,11 +122,13 @@ class Transport:
         self._velocity.interpolate(velocity)
         return self._assemble(self._advection)
 
-    def _system(self, advection: np.ndarray, before: np.ndarray) -> TransportSystem:
+    def _system(self, advection: np.ndarray, before: np.ndarray, reuse: TransportSystem | None) -> TransportSystem:
         after = before + self.options.diffusion * self._stiffness + advection
         after[self._fixed_entries] = 0.0
         after[self._fixed_diagonal] = 1.0
-        return TransportSystem(self, after, before)
+        system = reuse or TransportSystem(self)
+        system.change(after, before)
+        return system
 
     def _assemble(self, form: Any) -> np.ndarray:
         from dolfinx import fem
@@ -128,19 +141,18 @@ class Transport:
 class TransportSystem:
     """Steps of the transport in one wind, its matrix and preconditioner kept: made by ``Transport.system``."""
 
-    def __init__(self, transport: Transport, after: np.ndarray, before: np.ndarray):
-        """Take the CSR values of the matrices on the new (``after``) and on the old (``before``) concentration."""
+    def __init__(self, transport: Transport):
         from petsc4py import PETSc
         from scipy.sparse import csr_matrix
 
         self._transport = transport
         shape = (transport.nodes, transport.nodes)
-        self._before = csr_matrix((before, transport.indices, transport.indptr), shape=shape)
-        self._after = PETSc.Mat().createAIJ(
-            shape, csr=(transport.indptr, transport.indices, after), comm=PETSc.COMM_SELF
+        self._before = csr_matrix((np.zeros(transport.indices.size), transport.indices, transport.indptr), shape=shape)
+        self._values = np.zeros(transport.indices.size)
+        self._after = PETSc.Mat().createAIJWithArrays(
+            shape, (transport.indptr, transport.indices, self._values), comm=PETSc.COMM_SELF
         )
         solver: Any = PETSc.KSP().create(PETSc.COMM_SELF)
-        solver.setOperators(self._after)
         solver.setType("bcgs")
         solver.setPCSide(PETSc.PC.Side.RIGHT)  # so that the norm watched is that of the true residual
         solver.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
@@ -149,9 +161,16 @@ class TransportSystem:
         solver.setInitialGuessNonzero(True)
         options = transport.options
         solver.setTolerances(rtol=options.tolerance, atol=0.0, max_it=options.max_iterations)
-        solver.setUp()
         self._solver = solver
         self._right, self._left = self._after.createVecRight(), self._after.createVecLeft()
+
+    def change(self, after: np.ndarray, before: np.ndarray) -> None:
+        """Take the CSR values of the matrices on the new (``after``) and on the old (``before``) concentration."""
+        self._values[:] = after
+        self._before.data[:] = before
+        self._after.assemble()
+        self._solver.setOperators(self._after)
+        self._solver.setUp()  # what depends on the pattern alone is done the first time
 
     def step(self, concentration: np.ndarray, source: np.ndarray | None = None) -> np.ndarray:
         """Return the concentration (nodes,) one time step later.

@@ -151,6 +151,16 @@ def test_result_depends_on_the_arguments_alone(block, around_block, scheme):
     assert np.array_equal(make().system(around_block).step(c), first)
 
 
+@SCHEMES
+def test_a_system_made_over_has_the_bits_of_a_new_one(block, around_block, scheme):
+    transport = Transport(block, TransportOptions(scheme=scheme), 1.0)
+    c = bell(nodes_of(block), [70.0, 52.0], 8.0)
+    system = transport.system(transport.uniform_velocity(9.0, 1.0))
+    system.step(c)
+    assert transport.system(around_block, system) is system
+    assert np.array_equal(system.step(c), transport.system(around_block).step(c))
+
+
 def test_uniform_velocity_is_the_wind_of_an_empty_site():
     empty = rectangle(10, 10, (100.0, 100.0))
     solver = WindSolver(empty, WindOptions(tolerance=1e-12))
