@@ -9,8 +9,10 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 from dafw.core.errors import ConfigurationError, DafwError
+from dafw.mpirun import launched, together
 
 USAGE = """\
 usage: dafw COMMAND [...]
@@ -50,17 +52,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
     }
     if words[0] not in commands:
         return _refuse(f"unknown command '{words[0]}' (commands: {', '.join(commands)})")
+    if launched()[1] > 1:
+        return together(lambda communicator: _ended(lambda: _run(words[1:], communicator)), words)
+    status, message = _ended(lambda: commands[words[0]](words[1:]))
+    return _refuse(message, status) if message else status
+
+
+def _ended(command: Callable[[], int]) -> tuple[int, str]:
+    """Return a command's exit status, and what is to be said where it failed."""
     try:
-        return commands[words[0]](words[1:])
+        return command(), ""
     except DafwError as error:
-        return _refuse(" ".join(str(error).split()), error.exit_status)
+        return error.exit_status, " ".join(str(error).split())
     except KeyboardInterrupt as stop:
-        return _refuse(f"interrupted: {stop}".removesuffix(": "), 130)
+        return 130, f"interrupted: {stop}".removesuffix(": ")
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 1
+        return 1, ""
     except OSError as error:
-        return _refuse(" ".join(str(error).split()))
+        return 2, " ".join(str(error).split())
 
 
 def _refuse(message: str, status: int = 2) -> int:
@@ -75,10 +85,10 @@ class _Parser(argparse.ArgumentParser):
         raise ConfigurationError(f"{self.prog.removeprefix('dafw ')}: {message}")
 
 
-def _run(words: list[str]) -> int:
+def _run(words: list[str], communicator: Any = None) -> int:
     from dafw.hydra_app import run_command
 
-    return run_command(words)
+    return run_command(words, communicator)
 
 
 def _plugins(words: list[str]) -> int:

@@ -20,16 +20,16 @@ from omegaconf import DictConfig
 
 from dafw.core.composition import compose, config_folder, explained, register_schemas, single_runs, study_part
 from dafw.core.errors import ComputationError, ConfigurationError, DafwError
-from dafw.core.experiment import assemble, study_from
-from dafw.running import refuse_run, run_study
+from dafw.core.experiment import Study, assemble, study_from
+from dafw.running import follow_study, refuse_run, run_study
 from dafw.stopping import Interrupted
 
 STATUSES = ".status"
 """Folder in a sweep where its jobs leave their exit statuses until it is done."""
 
 
-def run_command(words: Sequence[str]) -> int:
-    """Run ``dafw run WORDS``; raises DafwError."""
+def run_command(words: Sequence[str], communicator: Any = None) -> int:
+    """Run ``dafw run WORDS``; raises DafwError. Of the ranks of an MPI communicator, rank 0 writes and speaks."""
     parser = get_args_parser()
     parser.error = _refuse  # type: ignore[method-assign]  # argparse would print its usage and exit
     asked = parser.parse_intermixed_args(list(words))
@@ -42,8 +42,11 @@ def run_command(words: Sequence[str]) -> int:
     folder = Path(asked.config_dir).resolve() if asked.config_dir else None
     if folder is not None and not folder.is_dir():
         raise ConfigurationError(f"--config-dir {asked.config_dir}: there is no such folder")
+    follows = communicator is not None and communicator.rank > 0
     shown = asked.help or asked.hydra_help or asked.cfg or asked.info or asked.shell_completion
     directories = [f"hydra.searchpath=[file://{folder}]"] if folder else []
+    if communicator is not None and asked.multirun:
+        raise ConfigurationError("mpirun works on one run: start the runs of a multirun one by one")
     sweep, jobs = None, list(single_runs(asked.overrides)) if asked.multirun else [list(asked.overrides)]
     if not shown:
         placed: set[str] = set()
@@ -61,18 +64,28 @@ def run_command(words: Sequence[str]) -> int:
                 (study.model, study.truth, study.free, study.vehicle, study.observer, study.policy, study.section)
             )
             if place not in placed:
-                assemble(study)
+                assemble(study, communicator)
                 placed.add(place)
             if asked.multirun and sweep is None:
                 sweep = Path(config.hydra.sweep.dir).resolve()
-    return _launch(list(words), sweep, len(jobs))
+    if follows:
+        return 0 if shown else _follow(study, communicator)
+    return _launch(list(words), sweep, len(jobs), communicator)
+
+
+def _follow(study: Study, communicator: Any) -> int:
+    try:
+        follow_study(study, communicator)
+    except Interrupted as stop:
+        raise KeyboardInterrupt(str(stop)) from stop
+    return 0
 
 
 def _refuse(message: str) -> NoReturn:
     raise ConfigurationError(f"run: {message}")
 
 
-def _launch(words: list[str], sweep: Path | None, jobs: int) -> int:
+def _launch(words: list[str], sweep: Path | None, jobs: int, communicator: Any = None) -> int:
     """Hand over to Hydra; return the exit status of the job, or of the worst of those of a sweep into a folder."""
     register_schemas()
     statuses: list[int] = []
@@ -81,7 +94,7 @@ def _launch(words: list[str], sweep: Path | None, jobs: int) -> int:
 
     def job(config: DictConfig) -> None:
         hydra_config = HydraConfig.get()
-        status = _run_job(config, Path(hydra_config.runtime.output_dir))
+        status = _run_job(config, Path(hydra_config.runtime.output_dir), communicator)
         if sweep is None:
             statuses.append(status)
         else:  # a launcher may run the job in another process, on another machine
@@ -119,10 +132,10 @@ def _override(key: str, value: Path) -> str:
     return f"{key}='{quoted}'"
 
 
-def _run_job(config: DictConfig, folder: Path) -> int:
+def _run_job(config: DictConfig, folder: Path, communicator: Any) -> int:
     """Run one study into its folder, say how it went, and return the exit status."""
     try:
-        summary = run_study(study_from(study_part(config)), folder)
+        summary = run_study(study_from(study_part(config)), folder, communicator)
     except DafwError as error:
         print(f"dafw: {' '.join(str(error).split())}", file=sys.stderr)
         return error.exit_status

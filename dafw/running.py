@@ -31,8 +31,8 @@ LOG_SECONDS = 0.2
 SUMMARY_SECONDS = 10.0
 
 
-def run_study(study: Study, folder: Path) -> dict[str, Any]:
-    """Run a study into ``folder`` and return its summary.
+def run_study(study: Study, folder: Path, communicator: Any = None) -> dict[str, Any]:
+    """Run a study into ``folder`` and return its summary; on rank 0 of an MPI communicator, if there is one.
 
     Whatever happens, the cycles that were finished stay in ``run.nc`` and ``summary.json`` says how it ended. Raises
     RunError where the folder holds a run already, DafwError where a computation failed, Interrupted.
@@ -40,9 +40,9 @@ def run_study(study: Study, folder: Path) -> dict[str, Any]:
     refuse_run(folder)
     begun = perf_counter()
     # A wrong request shows here, before anything is written.
-    parts, vehicle = assemble(study)
+    parts, vehicle = assemble(study, communicator)
     folder.mkdir(parents=True, exist_ok=True)
-    run = _Run(study, folder, begun)
+    run = _Run(study, folder, begun, communicator)
     # Bits that do not depend on the number of cores; and small matrices are quicker without threads.
     with _log_file(folder / "run.log"), stop_signals() as stop, threadpool_limits(limits=1, user_api="blas"):
         try:
@@ -67,6 +67,17 @@ def run_study(study: Study, folder: Path) -> dict[str, Any]:
     return run.summary
 
 
+def follow_study(study: Study, communicator: Any) -> None:
+    """Take part in a run of rank 0 as another rank, and leave nothing behind; raises what the run raises."""
+    parts, vehicle = assemble(study, communicator)
+    with stop_signals() as stop, threadpool_limits(limits=1, user_api="blas"):
+        state = start(parts, study.members, vehicle)
+        for done in range(1, study.cycles + 1):
+            state = advance(parts, state).state
+            if stop.agreed(communicator) and done < study.cycles:
+                raise Interrupted
+
+
 def refuse_run(folder: Path) -> None:
     """Raise RunError where a folder holds a run already."""
     if (folder / "run.nc").exists() or (folder / "summary.json").exists():
@@ -76,8 +87,8 @@ def refuse_run(folder: Path) -> None:
 class _Run:
     """One run on its way: what is done, what was measured."""
 
-    def __init__(self, study: Study, folder: Path, begun: float) -> None:
-        self.study, self.folder, self.begun = study, folder, begun
+    def __init__(self, study: Study, folder: Path, begun: float, communicator: Any) -> None:
+        self.study, self.folder, self.begun, self.communicator = study, folder, begun, communicator
         self.done = 0
         self.seconds: dict[str, float] = {}
         self.scores: dict[str, float] = {}
@@ -129,7 +140,7 @@ class _Run:
                 if perf_counter() - self.noted > SUMMARY_SECONDS:
                     self.noted = perf_counter()
                     self._write_summary("interrupted")
-                if stop.asked and self.done < self.study.cycles:
+                if stop.agreed(self.communicator) and self.done < self.study.cycles:
                     raise Interrupted
         self.parameters = _parameters(parts, state)
 
@@ -150,6 +161,7 @@ class _Run:
             "seed": self.study.seed,
             "members": self.study.members,
             "executor": self.study.executor,
+            "processes": self.communicator.size if self.communicator else 1,
             "cycles": self.done,
             "cycles_wanted": self.study.cycles,
             "err_final": _finite(self.scores.get("err")),

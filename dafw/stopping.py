@@ -19,6 +19,12 @@ class Stop:
     def __init__(self) -> None:
         self.asked = False
 
+    def agreed(self, communicator: Any) -> bool:
+        """Say whether any rank of an MPI communicator was asked to stop, and have it asked of all."""
+        if communicator is not None:
+            self.asked = any(communicator.allgather(self.asked))
+        return self.asked
+
     def __call__(self, number: int, frame: Any) -> None:
         """Note the signal."""
         if self.asked and number == signal.SIGINT:

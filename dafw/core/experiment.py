@@ -99,9 +99,18 @@ def _models(study: Study) -> tuple[Model, Model, Model | None]:
     return make("model", {}), make("truth", study.truth), None if study.free is None else make("free", study.free)
 
 
-def assemble(study: Study) -> tuple[Parts, Vehicle]:
-    """Build the parts of a cycle and place the vehicles; raises a DafwError that names the plugin."""
+def assemble(study: Study, communicator: Any = None) -> tuple[Parts, Vehicle]:
+    """Build the parts of a cycle and place the vehicles; raises a DafwError that names the plugin.
+
+    The ranks of an MPI ``communicator``, which call together, share the work of the models.
+    """
     model, truth, free = _models(study)
+    if communicator is not None:
+        if study.executor.get("name") != "serial":
+            raise ConfigurationError(f"mpirun expects the executor 'serial', got '{study.executor.get('name')}'")
+        for shared in (model, truth, free):
+            if shared is not None:
+                shared.share(communicator)
     for label, other in (("truth", truth), ("free run", free)):
         if other is not None and not (other.space.agrees(model.space) and other.dt == model.dt):
             raise ConfigurationError(

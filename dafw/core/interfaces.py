@@ -102,6 +102,14 @@ class Model(Plugin):
         """Return sentences for the log about what the model was made of."""
         return []
 
+    def share(self, communicator: Any) -> None:
+        """Share the work of every step with the other ranks of an MPI communicator; called before anything else.
+
+        All ranks then call the same in the same order, and every one gets the whole result. Raises ConfigurationError:
+        a model that says nothing else works in one process.
+        """
+        raise ConfigurationError(f"{self.label} works in one process: mpirun brings nothing, run it without")
+
     def pinned_options(self) -> Mapping[str, Any]:
         """Return options to lay over the configured ones so that other processes make the very same model.
 

@@ -88,6 +88,7 @@ def generate(site: Site, options: MeshOptions) -> Path:
 def load(path: Path, comm: Any = None) -> TaggedMesh:
     """Read a file of ``generate`` into DOLFINx, on MPI.COMM_SELF unless told otherwise.
 
+    On a communicator of several ranks, which call together, the mesh is partitioned among them; rank 0 reads.
     Raises MeshError where the file is missing or damaged, or a facet of its boundary is not tagged.
     """
     from dafw.plugins.models.dispersion import libraries  # noqa: F401, I001  (before dolfinx)
@@ -95,16 +96,19 @@ def load(path: Path, comm: Any = None) -> TaggedMesh:
     from dolfinx.mesh import exterior_facet_indices
     from mpi4py import MPI
 
-    if not path.is_file():
-        raise MeshError(f"mesh file {path}: not found")
-    if not _is_whole(path):
-        raise MeshError(f"mesh file {path}: damaged, expected a file made by dafw (delete it, and it is made anew)")
-    with _gmsh() as gmsh:
-        gmsh.merge(str(path))
-        data = dolfinx_gmsh.model_to_mesh(gmsh.model, MPI.COMM_SELF if comm is None else comm, 0, gdim=2)
+    comm = MPI.COMM_SELF if comm is None else comm
+    problem = comm.bcast(_unreadable(path) if comm.rank == 0 else "")
+    if problem:
+        raise MeshError(f"mesh file {path}: {problem}")
+    if comm.rank == 0:
+        with _gmsh() as gmsh:
+            gmsh.merge(str(path))
+            data = dolfinx_gmsh.model_to_mesh(gmsh.model, comm, 0, gdim=2)
+    else:
+        data = dolfinx_gmsh.model_to_mesh(None, comm, 0, gdim=2)
     mesh, tags = data.mesh, data.facet_tags
     mesh.topology.create_connectivity(1, 2)
-    if not np.array_equal(np.sort(tags.indices), np.sort(exterior_facet_indices(mesh.topology))):
+    if not all(comm.allgather(np.array_equal(np.sort(tags.indices), np.sort(exterior_facet_indices(mesh.topology))))):
         raise MeshError(f"mesh file {path}: {len(tags.indices)} facets are tagged, expected exactly the boundary")
     return TaggedMesh(mesh, tags)
 
@@ -170,6 +174,13 @@ def _digest(site: Site, options: MeshOptions) -> str:
 def _seal(content: bytes) -> bytes:
     """A closing section that gmsh passes over and that shows a damaged file for what it is."""
     return f"$Comments\nsha256 {hashlib.sha256(content).hexdigest()}\n$EndComments\n".encode()
+
+
+def _unreadable(path: Path) -> str:
+    """Return why a file cannot be read, nothing where it can."""
+    if not path.is_file():
+        return "not found"
+    return "" if _is_whole(path) else "damaged, expected a file made by dafw (delete it, and it is made anew)"
 
 
 def _is_whole(path: Path) -> bool:

@@ -26,14 +26,19 @@ from dafw.core.rng import MemberStreams
 from dafw.core.space import ANGLE, NONNEGATIVE, Array, StateSpace, Variable
 from dafw.plugins.models.dispersion.first_guess import draw_direction, draw_speed
 from dafw.plugins.models.dispersion.mesh import MeshOptions, TaggedMesh, generate, load, topology
+from dafw.plugins.models.dispersion.partition import Partition, Undivided, nearest
 from dafw.plugins.models.dispersion.site import Site, SiteOptions, load_site
 from dafw.plugins.models.dispersion.transport import Transport, TransportOptions, TransportSystem
 
 
 @lru_cache(maxsize=4)
-def _loaded(path: Path) -> TaggedMesh:
-    """The truth, the free run and the belief share one mesh."""
-    return load(path)
+def _loaded(path: Path, communicator: int | None = None) -> TaggedMesh:
+    """The truth, the free run and the belief share one mesh; ``communicator``: the handle of one to partition it."""
+    if communicator is None:
+        return load(path)
+    from mpi4py import MPI
+
+    return load(path, MPI.Comm.fromhandle(communicator))
 
 
 @dataclass
@@ -58,6 +63,7 @@ class AdvectionDiffusion(Model):
     cutoff: float = option(1e-6, "concentrations up to this are set to zero before a step, where there is noise")
 
     _systems: dict[int, tuple[Array, TransportSystem]] = field(default_factory=dict, init=False, repr=False)
+    _communicator: Any = field(default=None, init=False, repr=False)
 
     @classmethod
     def check_options(cls) -> Mapping[str, Any]:
@@ -87,10 +93,28 @@ class AdvectionDiffusion(Model):
         """Where there is gas. A wind through walls would make the transport ill-posed, so here they are left out."""
         return replace(self.place, buildings=(), names=(), types=())
 
+    def share(self, communicator: Any) -> None:
+        """Have the ranks of an MPI communicator share the mesh among them; the state stays whole on every rank."""
+        self._communicator = communicator
+
     @cached_property
     def tagged_mesh(self) -> TaggedMesh:
         """The mesh of the ground, from the cache where it was made before."""
         return _loaded(generate(self.ground, self.mesh))
+
+    @cached_property
+    def part_mesh(self) -> TaggedMesh:
+        """What the solvers work on: the mesh, or this rank's part of it."""
+        shared = self._communicator
+        return self.tagged_mesh if shared is None else _loaded(generate(self.ground, self.mesh), shared.handle)
+
+    @cached_property
+    def _nodes(self) -> Partition | Undivided:
+        """From the nodes of the state to those of the transport."""
+        nodes = self._topology[0]
+        if self._communicator is None:
+            return Undivided(len(nodes))
+        return Partition(nearest(nodes, self._transport.places), self._communicator)
 
     @cached_property
     def _topology(self) -> tuple[Array, Any]:
@@ -122,11 +146,13 @@ class AdvectionDiffusion(Model):
 
     @cached_property
     def _transport(self) -> Transport:
-        return Transport(self.tagged_mesh, self.transport, self.dt)
+        return Transport(self.part_mesh, self.transport, self.dt)
 
     def notes(self) -> list[str]:
         """Return what was done to the site, and the size of the mesh."""
-        return [*self.place.report_lines(), f"{self._topology[0].shape[0]} nodes, {len(self._topology[1])} triangles"]
+        size = f"{self._topology[0].shape[0]} nodes, {len(self._topology[1])} triangles"
+        shared = f", shared by {self._communicator.size} processes" if self._communicator else ""
+        return [*self.place.report_lines(), size + shared]
 
     def initial(self, n_members: int, rng: MemberStreams) -> Array:
         """Return the released bell, the same in all members, with winds drawn from the first guess."""
@@ -148,10 +174,13 @@ class AdvectionDiffusion(Model):
         if self.noise > 0.0:
             concentration += self.noise * concentration * rng.standard_normal(concentration.shape)
             concentration[concentration <= self.cutoff] = 0.0
+        if self._communicator is not None:  # another kind of processor may have rounded otherwise
+            self._communicator.Bcast(stepped)
         winds, memory, diagnostics = self.winds(state["wind_speed"][:, 0], state["wind_direction"][:, 0], memory, t)
         for member, wind in enumerate(winds):
             with about_member(member):
-                concentration[member] = self._system(member, wind).step(concentration[member])
+                part = self._system(member, wind).step(self._nodes.part(concentration[member]))
+                concentration[member] = self._nodes.whole(part)
         # Galerkin's undershoots are no gas; the state's own set decides.
         return Step(stepped, memory, diagnostics)
 

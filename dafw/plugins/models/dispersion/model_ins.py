@@ -19,13 +19,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dafw.core.ensemble import Diagnostic, Diagnostics, Memory
-from dafw.core.errors import SolverError, about_member
+from dafw.core.errors import ConfigurationError, SolverError, about_member
 from dafw.core.options import option
 from dafw.core.space import Array
 from dafw.plugins.models.dispersion.model import AdvectionDiffusion
+from dafw.plugins.models.dispersion.partition import Partition, Undivided
 from dafw.plugins.models.dispersion.site import Site
 from dafw.plugins.models.dispersion.transport import TransportSystem
-from dafw.plugins.models.dispersion.wind import WindOptions, WindSolver, wind_solver
+from dafw.plugins.models.dispersion.wind import WindOptions, WindSolver, not_partitioned, wind_solver
 
 if TYPE_CHECKING:
     from dafw.plugins.models.dispersion.reduced_advection import ReducedAdvection
@@ -52,7 +53,22 @@ class AdvectionDiffusionINS(AdvectionDiffusion):
     @cached_property
     def solver(self) -> WindSolver:
         """The wind solver on this mesh."""
-        return wind_solver(self.tagged_mesh, self.wind)
+        return wind_solver(self.part_mesh, self.wind)
+
+    def share(self, communicator: Any) -> None:
+        """Have the ranks of an MPI communicator share the mesh; raises ConfigurationError where the solver cannot."""
+        if self.wind.solver != "newton":
+            raise ConfigurationError(f"{self.label}: {not_partitioned(self.wind.solver)}")
+        super().share(communicator)
+
+    @cached_property
+    def _unit(self) -> Partition | Undivided:
+        """From the unit winds in the memory, in the numbering of the whole mesh, to those of the solver."""
+        if self._communicator is None:
+            return Undivided(self.solver.unknowns)
+        from dafw.plugins.models.dispersion.taylor_hood import MixedSpace
+
+        return Partition(self.solver.problem.places_in(MixedSpace(self.tagged_mesh.mesh)), self._communicator)
 
     def pinned_options(self) -> Mapping[str, Any]:
         """Name the reduced basis in use, where there is one: there may be a newer one by now."""
@@ -62,7 +78,7 @@ class AdvectionDiffusionINS(AdvectionDiffusion):
         """Return the memory of members (N, n) for which no wind was solved yet: NaN."""
         n_members = len(members)
         never = np.full(n_members, np.nan)
-        return {"unit": np.zeros((n_members, self.solver.unknowns)), "speed": never, "direction": never}
+        return {"unit": np.zeros((n_members, self._unit.size)), "speed": never, "direction": never}
 
     def due(self, speed: Array, direction: Array, memory: Memory) -> np.ndarray:
         """Say for which members (N,) the thresholds ask for a new wind."""
@@ -85,7 +101,7 @@ class AdvectionDiffusionINS(AdvectionDiffusion):
         iterations = np.zeros(len(speed), dtype=np.int64)
         for member in np.flatnonzero(solved):
             first = np.isnan(memory["speed"][member])
-            start = None if first else memory["unit"][member]
+            start = None if first else self._unit.part(memory["unit"][member])
             try:
                 with about_member(int(member)):
                     wind = self.solver.solve(speed[member], direction[member], start)
@@ -95,7 +111,7 @@ class AdvectionDiffusionINS(AdvectionDiffusion):
                 kept[member], solved[member] = True, False
                 continue
             iterations[member] = wind.iterations
-            memory["unit"][member] = wind.unit
+            memory["unit"][member] = self._unit.whole(wind.unit)
             memory["speed"][member], memory["direction"][member] = speed[member], direction[member]
         diagnostics = {
             "wind_solved": Diagnostic(solved, ("member",), long_name="the wind was solved anew in this cycle"),
@@ -110,7 +126,7 @@ class AdvectionDiffusionINS(AdvectionDiffusion):
 
     def velocity(self, wind: Array) -> Any:
         """Return the solved wind of one member as a DOLFINx function in m/s."""
-        return self.solver.velocity(wind[:-1], wind[-1])
+        return self.solver.velocity(self._unit.part(wind[:-1]), wind[-1])
 
     @cached_property
     def _reduced_advection(self) -> ReducedAdvection | None:

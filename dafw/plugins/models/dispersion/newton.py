@@ -39,17 +39,15 @@ class Newton:
     """Newton's method with MUMPS for a ``TaylorHood`` problem; one ordering serves all its factorisations.
 
     ``single`` factorises in single precision: seven digits for the memory of half, where they only precondition.
+    On a partitioned mesh all ranks call together, arrays are those that each owns, and all decide alike.
     """
 
     def __init__(self, problem: TaylorHood, *, single: bool = False):
         self._problem, self._single = problem, single
-        n = problem.unknowns
         # Every entry of the pattern stays, zero or not: the ordering must not depend on the first matrix solved.
         self._values = np.zeros(problem.indices.size)
-        self._matrix = PETSc.Mat().createAIJWithArrays(
-            (n, n), (problem.indptr, problem.indices, self._values), comm=PETSc.COMM_SELF
-        )
-        self._solver = PETSc.KSP().create(PETSc.COMM_SELF)
+        self._matrix = problem.sparsity.petsc(self._values)
+        self._solver = PETSc.KSP().create(problem.sparsity.comm)
         self._solver.setOperators(self._matrix)
         self._solver.setType("preonly")
         preconditioner = self._solver.getPC()
@@ -66,10 +64,10 @@ class Newton:
     def factorise(self, values: np.ndarray, fixed: np.ndarray) -> None:
         """Factorise a Jacobian, given as CSR values that are overwritten, with the ``fixed`` unknowns left out."""
         problem = self._problem
-        fixed_entry = fixed[problem.rows] | fixed[problem.indices]
+        fixed_entry = fixed[problem.rows] | problem.sparsity.with_ghosts(fixed)[problem.indices]
         values[fixed_entry] = problem.rows[fixed_entry] == problem.indices[fixed_entry]
         self._values[:] = values
-        self._matrix.assemble()
+        problem.sparsity.refresh(self._matrix, self._values)
         self._solver.setOperators(self._matrix)
         if not self._single:
             self._solver.setUp()
@@ -118,18 +116,18 @@ class Newton:
 
         x, count = start.copy(), 0
         force = residual(x)
-        norm = float(np.linalg.norm(force))
+        norm = self._problem.norm(force)
         while target < norm < np.inf and count < max_iterations:
             self.factorise(self._problem.jacobian(x, reynolds), fixed)
             count += 1
             direction = -self.back_substitute(force)
             quadratic = residual(x + direction)
-            if not np.isfinite(quadratic @ quadratic):
+            if not np.isfinite(self._problem.dot(quadratic, quadratic)):
                 break
-            length = best_length(force, quadratic)
+            length = best_length(force, quadratic, self._problem.dot)
             x = x + length * direction
             force, before = quadratic if length == 1.0 else residual(x), norm
-            norm = float(np.linalg.norm(force))
+            norm = self._problem.norm(force)
             if norm > STALLED * before:
                 break
             if keep and length == 1.0:
@@ -148,7 +146,7 @@ class Newton:
         while norm > target:
             trial = x - self.back_substitute(force)
             trial_force = residual(trial)
-            trial_norm = float(np.linalg.norm(trial_force))
+            trial_norm = self._problem.norm(trial_force)
             if not trial_norm < norm:
                 break
             pays = trial_norm <= KEEP * norm
@@ -158,9 +156,11 @@ class Newton:
         return x, force, norm
 
 
-def best_length(force: np.ndarray, quadratic: np.ndarray) -> float:
-    """Return s in (0, 1] that minimises |(1 - s) force + s^2 quadratic|, both (n,)."""
-    a, b, c = float(force @ force), float(force @ quadratic), float(quadratic @ quadratic)
+def best_length(
+    force: np.ndarray, quadratic: np.ndarray, dot: Callable[[np.ndarray, np.ndarray], float] = np.dot
+) -> float:
+    """Return s in (0, 1] that minimises |(1 - s) force + s^2 quadratic|, both (n,), in the norm of ``dot``."""
+    a, b, c = float(dot(force, force)), float(dot(force, quadratic)), float(dot(quadratic, quadratic))
     if c <= 0.25 * a:
         return 1.0  # the full step already halves the residual
     # |.|^2 = a (1-s)^2 + 2 b s^2 (1-s) + c s^4, a quartic with minima at the roots of its derivative

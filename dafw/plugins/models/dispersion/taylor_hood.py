@@ -21,19 +21,21 @@ from dafw.plugins.models.dispersion import libraries  # noqa: F401  (before dolf
 import basix.ufl
 import numpy as np
 import ufl
-from dolfinx import fem
+from dolfinx import fem, la
 from scipy.sparse import csr_matrix
 
+from dafw.plugins.models.dispersion.partition import nearest
+from dafw.plugins.models.dispersion.sparsity import Sparsity, total
 
-class TaylorHood:
-    """The discrete residual and its Jacobian as plain arrays over all mixed unknowns.
+
+class MixedSpace:
+    """Velocity and pressure of one mesh; of a partitioned mesh, arrays hold the unknowns that this rank owns.
 
     Attributes:
         space: the mixed DOLFINx space, velocity first.
         velocity_space, pressure_space: the P2 vector space and the P1 space.
         velocity_dofs: (2 m,) mixed unknown of every unrolled dof of ``velocity_space`` (x and y alternate).
         pressure_dofs: (k,) mixed unknown of every dof of ``pressure_space``.
-        indptr, indices, rows: sparsity of the Jacobian (CSR, and the row of every entry).
     """
 
     def __init__(self, mesh: Any):
@@ -42,8 +44,32 @@ class TaylorHood:
         self.space = fem.functionspace(mesh, basix.ufl.mixed_element([velocity, pressure]))
         self.velocity_space, velocity_dofs = self.space.sub(0).collapse()
         self.pressure_space, pressure_dofs = self.space.sub(1).collapse()
-        self.velocity_dofs = np.array(velocity_dofs).ravel()
-        self.pressure_dofs = np.array(pressure_dofs).ravel()
+        # The unknowns of other ranks come last.
+        nodes, points = self.velocity_space.dofmap.index_map.size_local, self.pressure_space.dofmap.index_map.size_local
+        self.velocity_dofs = np.array(velocity_dofs).ravel()[: 2 * nodes]
+        self.pressure_dofs = np.array(pressure_dofs).ravel()[:points]
+
+    def places_in(self, whole: MixedSpace) -> np.ndarray:
+        """Return for every mixed unknown (n,) which one it is in the space on the same mesh, not partitioned."""
+        places = np.empty(self.velocity_dofs.size + self.pressure_dofs.size, dtype=np.int64)
+        points = (space.velocity_space.tabulate_dof_coordinates() for space in (whole, self))
+        nodes = nearest(*points)[: self.velocity_dofs.size // 2]
+        places[self.velocity_dofs] = whole.velocity_dofs.reshape(-1, 2)[nodes].ravel()
+        points = (space.pressure_space.tabulate_dof_coordinates() for space in (whole, self))
+        places[self.pressure_dofs] = whole.pressure_dofs[nearest(*points)[: self.pressure_dofs.size]]
+        return places
+
+
+class TaylorHood(MixedSpace):
+    """The discrete residual and its Jacobian as plain arrays over the mixed unknowns that this rank owns: all, on one.
+
+    Attributes:
+        unknowns: their number n.
+        sparsity: that of the Jacobian; ``indptr``, ``indices``, ``rows`` are its arrays.
+    """
+
+    def __init__(self, mesh: Any):
+        super().__init__(mesh)
 
         (u, p), (v, q) = ufl.TrialFunctions(self.space), ufl.TestFunctions(self.space)
         self._state = fem.Function(self.space)
@@ -54,30 +80,40 @@ class TaylorHood:
         self._convection = fem.form(convection * ufl.dx)
         self._derivative = fem.form(derivative * ufl.dx)
 
-        matrix = fem.assemble_matrix(fem.form(linear * ufl.dx))
-        self.unknowns: int = matrix.indptr.size - 1
-        self.indptr = matrix.indptr.astype(np.int32)
-        self.indices = matrix.indices.astype(np.int32)
-        self.rows = np.repeat(np.arange(self.unknowns, dtype=np.int32), np.diff(self.indptr))
-        self._linear = csr_matrix((matrix.data.copy(), self.indices, self.indptr))
-        self._workspace = fem.create_matrix(self._derivative)  # same space, hence the same sparsity
+        form = fem.form(linear * ufl.dx)
+        self.sparsity = pattern = Sparsity(form)
+        self.unknowns = pattern.size
+        self.indptr, self.indices, self.rows = pattern.indptr, pattern.indices, pattern.rows
+        self._linear = csr_matrix((pattern.assemble(form).copy(), self.indices, self.indptr), shape=pattern.shape)
+        self._assembled = la.vector(self._state.x.index_map)
 
     def residual(self, unknowns: np.ndarray, reynolds: float, load: np.ndarray | None = None) -> np.ndarray:
         """Return the residual (n,) of the equations; ``load`` (n,) is the assembled body force, if there is one."""
-        self._state.x.array[:] = unknowns
-        residual = np.zeros(self.unknowns)
-        fem.assemble_vector(residual, self._convection)
-        residual *= reynolds
-        residual += self._linear @ unknowns
+        self._set_state(unknowns)
+        self._assembled.array[:] = 0.0
+        fem.assemble_vector(self._assembled.array, self._convection)
+        self._assembled.scatter_reverse(la.InsertMode.add)
+        residual = self._assembled.array[: self.unknowns] * reynolds
+        residual += self._linear @ self.sparsity.with_ghosts(unknowns)
         return residual if load is None else residual - load
 
     def jacobian(self, unknowns: np.ndarray, reynolds: float) -> np.ndarray:
         """Return the derivative of the residual as CSR values on (``indptr``, ``indices``)."""
-        self._state.x.array[:] = unknowns
-        self._workspace.data[:] = 0.0
-        fem.assemble_matrix(self._workspace, self._derivative)
-        return self._linear.data + reynolds * self._workspace.data
+        self._set_state(unknowns)
+        return self._linear.data + reynolds * self.sparsity.assemble(self._derivative)
+
+    def _set_state(self, unknowns: np.ndarray) -> None:
+        self._state.x.array[: self.unknowns] = unknowns
+        self._state.x.scatter_forward()
 
     def velocity(self, unknowns: np.ndarray) -> np.ndarray:
         """Return the dofs of ``velocity_space`` (2 m,) of a mixed vector (n,)."""
         return unknowns[self.velocity_dofs]
+
+    def dot(self, a: np.ndarray, b: np.ndarray) -> float:
+        """Return the scalar product of two vectors (n,) over all ranks, the same number on each."""
+        return float(total(self.sparsity.comm, float(a @ b)))
+
+    def norm(self, a: np.ndarray) -> float:
+        """Return the Euclidean norm of a vector (n,) over all ranks."""
+        return float(np.sqrt(self.dot(a, a)))

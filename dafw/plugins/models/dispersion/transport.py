@@ -16,11 +16,8 @@ from dafw.core.errors import ContractError, SolverError
 from dafw.core.options import option
 from dafw.plugins.models.dispersion.mesh import OUTER, TaggedMesh
 
-RESTARTS = 3
 SYSTEMS_BYTES = 2e9
 """Memory of one process for the systems of its members."""
-BREAKDOWN = -5
-"""PETSc's reason where BiCGStab's search directions became orthogonal, which a restart mends."""
 
 
 @dataclass
@@ -32,11 +29,17 @@ class TransportOptions:
     tolerance: float = option(
         1e-12, "residual norm of the linear solver, relative to the right-hand side", above=0.0, maximum=1e-6
     )
-    max_iterations: int = option(500, "iterations of the linear solver in one step", minimum=1)
+    max_iterations: int = option(
+        100, "iterations of the linear solver in one step, after which it is solved directly", minimum=1
+    )
 
 
 class Transport:
-    """What no wind changes: the mass and stiffness matrices of one mesh, for steps of ``dt`` seconds."""
+    """What no wind changes: the mass and stiffness matrices of one mesh, for steps of ``dt`` seconds.
+
+    On a mesh that is partitioned among several ranks all of them call together, and arrays hold the nodes that the rank
+    owns.
+    """
 
     def __init__(self, tagged_mesh: TaggedMesh, options: TransportOptions, dt: float):
         from dafw.plugins.models.dispersion import libraries  # noqa: F401  (before dolfinx)
@@ -45,6 +48,8 @@ class Transport:
         import ufl
         from dolfinx import fem
 
+        from dafw.plugins.models.dispersion.sparsity import Sparsity
+
         mesh = tagged_mesh.mesh
         self.options, self.dt = options, dt
         self._space = fem.functionspace(mesh, ("Lagrange", 1))
@@ -52,8 +57,8 @@ class Transport:
         self._velocity = w = fem.Function(velocity_space)
 
         c, v = ufl.TrialFunction(self._space), ufl.TestFunction(self._space)
-        mass = fem.assemble_matrix(fem.form(c * v * ufl.dx))
-        stiffness = fem.assemble_matrix(fem.form(ufl.inner(ufl.grad(c), ufl.grad(v)) * ufl.dx))
+        mass = fem.form(c * v * ufl.dx)
+        stiffness = fem.form(ufl.inner(ufl.grad(c), ufl.grad(v)) * ufl.dx)
         advected = ufl.dot(w, ufl.grad(c))
         self._advection, self._advected_mass = fem.form(advected * v * ufl.dx), None
         if options.scheme == "supg":
@@ -64,15 +69,16 @@ class Transport:
             self._advected_mass = fem.form(c * weight * measure)
 
         # All P1 matrices of the mesh share one sparsity, so that they add up entry by entry.
-        self.nodes: int = mass.indptr.size - 1
-        self.indptr, self.indices = mass.indptr.astype(np.int32), mass.indices.astype(np.int32)
-        self._mass, self._stiffness = mass.data.copy(), stiffness.data.copy()
-        self._workspace = fem.create_matrix(self._advection)
-        self.outer = fem.locate_dofs_topological(self._space, mesh.topology.dim - 1, tagged_mesh.facet_tags.find(OUTER))
+        self.sparsity = Sparsity(mass)
+        self.nodes = self.sparsity.size
+        self.indptr, self.indices, rows = self.sparsity.indptr, self.sparsity.indices, self.sparsity.rows
+        self.places: np.ndarray = self._space.tabulate_dof_coordinates()[: self.nodes, : mesh.geometry.dim]
+        self._mass, self._stiffness = self._assemble(mass), self._assemble(stiffness)
+        outer = fem.locate_dofs_topological(self._space, mesh.topology.dim - 1, tagged_mesh.facet_tags.find(OUTER))
+        self.outer = outer[outer < self.nodes]
         fixed = np.zeros(self.nodes, dtype=bool)
         fixed[self.outer] = True
-        rows = np.repeat(np.arange(self.nodes), np.diff(self.indptr))
-        self._fixed_entries = fixed[rows] | fixed[self.indices]
+        self._fixed_entries = fixed[rows] | self.sparsity.with_ghosts(fixed)[self.indices]
         self._fixed_diagonal = fixed[rows] & (rows == self.indices)
 
     @property
@@ -120,6 +126,7 @@ class Transport:
         In Galerkin's scheme it is linear in the wind: the matrix of a sum of winds is the sum of their matrices.
         """
         self._velocity.interpolate(velocity)
+        self._velocity.x.scatter_forward()
         return self._assemble(self._advection)
 
     def _system(self, advection: np.ndarray, before: np.ndarray, reuse: TransportSystem | None) -> TransportSystem:
@@ -131,11 +138,7 @@ class Transport:
         return system
 
     def _assemble(self, form: Any) -> np.ndarray:
-        from dolfinx import fem
-
-        self._workspace.data[:] = 0.0
-        fem.assemble_matrix(self._workspace, form)
-        return self._workspace.data.copy()
+        return self.sparsity.assemble(form).copy()
 
 
 class TransportSystem:
@@ -146,56 +149,74 @@ class TransportSystem:
         from scipy.sparse import csr_matrix
 
         self._transport = transport
-        shape = (transport.nodes, transport.nodes)
-        self._before = csr_matrix((np.zeros(transport.indices.size), transport.indices, transport.indptr), shape=shape)
+        sparsity = transport.sparsity
         self._values = np.zeros(transport.indices.size)
-        self._after = PETSc.Mat().createAIJWithArrays(
-            shape, (transport.indptr, transport.indices, self._values), comm=PETSc.COMM_SELF
-        )
-        solver: Any = PETSc.KSP().create(PETSc.COMM_SELF)
+        self._before = csr_matrix((self._values.copy(), transport.indices, transport.indptr), shape=sparsity.shape)
+        self._after = sparsity.petsc(self._values)
+        solver: Any = PETSc.KSP().create(sparsity.comm)
         solver.setType("bcgs")
         solver.setPCSide(PETSc.PC.Side.RIGHT)  # so that the norm watched is that of the true residual
         solver.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
-        solver.getPC().setType("ilu")
-        solver.getPC().setFactorLevels(1)  # without fill, a strong wind can keep BiCGStab from converging
+        # Without fill, a strong wind can keep BiCGStab from converging.
+        solver.getPC().setType("ilu" if sparsity.comm.size == 1 else "bjacobi")
+        solver.getPC().setFactorLevels(1)
         solver.setInitialGuessNonzero(True)
         options = transport.options
         solver.setTolerances(rtol=options.tolerance, atol=0.0, max_it=options.max_iterations)
-        self._solver = solver
+        self._solver: Any = solver
+        self._direct: Any = None
         self._right, self._left = self._after.createVecRight(), self._after.createVecLeft()
 
     def change(self, after: np.ndarray, before: np.ndarray) -> None:
         """Take the CSR values of the matrices on the new (``after``) and on the old (``before``) concentration."""
         self._values[:] = after
         self._before.data[:] = before
-        self._after.assemble()
+        self._transport.sparsity.refresh(self._after, self._values)
         self._solver.setOperators(self._after)
         self._solver.setUp()  # what depends on the pattern alone is done the first time
+        if self._transport.sparsity.comm.size > 1:
+            for block in self._solver.getPC().getBJacobiSubKSP():
+                block.getPC().setType("ilu")
+                block.getPC().setFactorLevels(1)
+        self._direct = None
 
     def step(self, concentration: np.ndarray, source: np.ndarray | None = None) -> np.ndarray:
         """Return the concentration (nodes,) one time step later.
 
         ``source`` (nodes,) is the rate f at the end of the step, in concentration per second. Raises SolverError where
-        the linear solver does not reach its tolerance and ContractError where an array has another shape.
+        the tolerance is not reached and ContractError where an array has another shape.
         """
         transport = self._transport
         for array in (concentration,) if source is None else (concentration, source):
             if array.shape != (transport.nodes,):
                 raise ContractError(f"transport: expected {transport.nodes} nodal values, got shape {array.shape}")
         supplied = concentration if source is None else concentration + transport.dt * source
-        self._left.array[:] = self._before @ supplied
+        self._left.array[:] = self._before @ transport.sparsity.with_ghosts(supplied)
         self._left.array[transport.outer] = 0.0
         self._right.array[:] = concentration
         self._right.array[transport.outer] = 0.0
         self._solver.solve(self._left, self._right)
-        for _ in range(RESTARTS):
-            if self._solver.getConvergedReason() != BREAKDOWN:
-                break
-            self._solver.solve(self._left, self._right)  # from where it came to
-        reason, after = self._solver.getConvergedReason(), self._right.array.copy()
-        if reason <= 0 or not np.isfinite(after).all():
+        if self._solver.getConvergedReason() <= 0:
+            self._solve_directly()
+        return self._right.array.copy()
+
+    def _solve_directly(self) -> None:
+        """Solve with a sparse LU, made once per wind: for the few that are too strong for BiCGStab."""
+        from petsc4py import PETSc
+
+        if self._direct is None:
+            self._direct = PETSc.KSP().create(self._transport.sparsity.comm)
+            self._direct.setOperators(self._after)
+            self._direct.setType("preonly")
+            self._direct.getPC().setType("lu")
+            self._direct.getPC().setFactorSolverType("mumps")
+        self._direct.solve(self._left, self._right)
+        missed = self._left.duplicate()
+        self._after.mult(self._right, missed)
+        missed.aypx(-1.0, self._left)
+        residual, tolerance = missed.norm() / self._left.norm(), self._transport.options.tolerance
+        if not residual <= tolerance:
             raise SolverError(
-                f"transport: no convergence after {self._solver.getIterationNumber()} iterations (PETSc reason "
-                f"{reason}), expected a relative residual of at most {transport.options.tolerance:.3g}"
+                f"transport: a relative residual of {residual:.3g} is left after {self._solver.getIterationNumber()} "
+                f"iterations and a direct solve, expected at most {tolerance:.3g}"
             )
-        return after

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dafw.core.errors import ContractError, SolverError
+from dafw.core.errors import ConfigurationError, ContractError, SolverError
 from dafw.core.options import option
 from dafw.plugins.models.dispersion.mesh import TaggedMesh
 
@@ -73,10 +73,12 @@ class WindOptions:
 def wind_solver(tagged_mesh: TaggedMesh, options: WindOptions) -> WindSolver:
     """Return the solver that ``options.solver`` names; the cheap ones make a reduced basis or read it from the cache.
 
-    Raises ConfigurationError where the boundary does not suit the solver.
+    Raises ConfigurationError where the boundary does not suit the solver, or a partitioned mesh not a cheap one.
     """
     if options.solver == "newton":
         return WindSolver(tagged_mesh, options)
+    if tagged_mesh.mesh.comm.size > 1:
+        raise ConfigurationError(not_partitioned(options.solver))
     if options.solver == "accelerated":
         from dafw.plugins.models.dispersion.accelerated import AcceleratedWindSolver
 
@@ -86,11 +88,16 @@ def wind_solver(tagged_mesh: TaggedMesh, options: WindOptions) -> WindSolver:
     return ReducedWindSolver(tagged_mesh, options)
 
 
+def not_partitioned(solver: str) -> str:
+    """Return why a solver does not work on several ranks."""
+    return f"wind: solver '{solver}' works in one process, expected 'newton' on a mesh that is cut among several"
+
+
 @dataclass(frozen=True)
 class WindSolution:
     """A converged wind.
 
-    ``unit`` (n,) holds all mixed unknowns of the unit wind and travels as plain numbers; ``intensity`` in m/s,
+    ``unit`` (n,) holds the mixed unknowns of the unit wind and travels as plain numbers; ``intensity`` in m/s,
     ``direction`` in radians; ``iterations`` counts factorisations, ``residual`` is relative like the tolerance.
     """
 
@@ -102,7 +109,11 @@ class WindSolution:
 
 
 class WindSolver:
-    """Solves for the steady wind on one mesh. Results depend on the arguments of ``solve`` alone."""
+    """Solves for the steady wind on one mesh. Results depend on the arguments of ``solve`` alone.
+
+    On a mesh that is partitioned among several ranks all of them call together, with the same intensity and direction;
+    vectors hold the unknowns that the rank owns. An error is raised on all of them.
+    """
 
     def __init__(self, tagged_mesh: TaggedMesh, options: WindOptions):
         """Assemble what no wind changes.
@@ -198,7 +209,7 @@ class WindSolver:
         return velocities[0], velocities[1]
 
     def _norm(self, unknowns: np.ndarray, reynolds: float, fixed: np.ndarray) -> float:
-        return float(np.linalg.norm(self.problem.residual(unknowns, reynolds)[~fixed]))
+        return self.problem.norm(self.problem.residual(unknowns, reynolds)[~fixed])
 
     def _checked(self, intensity: float, direction: float, start: np.ndarray | None) -> np.ndarray | None:
         if not (np.isfinite(intensity) and intensity >= 0.0 and np.isfinite(direction)):
@@ -208,8 +219,10 @@ class WindSolver:
             )
         if start is None:
             return None
+        from dafw.plugins.models.dispersion.sparsity import total
+
         start = np.asarray(start, dtype=np.float64)
-        if start.shape != (self.unknowns,) or not np.isfinite(start).all():
+        if total(self.problem.sparsity.comm, start.shape != (self.unknowns,) or not np.isfinite(start).all()):
             raise ContractError(
                 f"wind: expected a start of {self.unknowns} finite numbers, got shape {start.shape}, "
                 f"{np.count_nonzero(~np.isfinite(start))} of them not finite"
@@ -229,5 +242,7 @@ class WindSolver:
         if intensity is None:
             raise ContractError("wind: expected the intensity that goes with a unit wind, got none")
         function = fem.Function(self.problem.velocity_space)
-        function.x.array[:] = intensity * self.problem.velocity(wind)
+        velocity = self.problem.velocity(wind)
+        function.x.array[: velocity.size] = intensity * velocity
+        function.x.scatter_forward()
         return function

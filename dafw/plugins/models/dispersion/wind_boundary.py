@@ -8,6 +8,7 @@ import numpy as np
 
 from dafw.core.errors import ConfigurationError
 from dafw.plugins.models.dispersion.mesh import OUTER, WALL, TaggedMesh
+from dafw.plugins.models.dispersion.sparsity import total
 from dafw.plugins.models.dispersion.taylor_hood import TaylorHood
 
 # isort: split
@@ -34,18 +35,24 @@ class WindBoundary:
         self._facets = tagged_mesh.facet_tags.find(OUTER)
         self._wall = self._nodes(tagged_mesh.facet_tags.find(WALL))
         self._normals, lengths = outward_normals(tagged_mesh.mesh, self._facets)
-        gap = float(np.linalg.norm(lengths @ self._normals))
-        if kind == "uniform" and gap > 1e-9 * lengths.sum():
+        comm = tagged_mesh.mesh.comm
+        gap = float(np.linalg.norm(total(comm, lengths @ self._normals)))
+        if kind == "uniform" and gap > 1e-9 * total(comm, lengths.sum()):
             raise ConfigurationError(
                 f"wind: boundary 'uniform' expects an outer boundary that no building cuts, got one with {gap:.4g} m "
                 "missing: leave a margin around the buildings or choose boundary 'outflow'"
             )
-        points = problem.pressure_space.tabulate_dof_coordinates()
-        self._reference = problem.pressure_dofs[np.lexsort((points[:, 0], points[:, 0] + points[:, 1]))[0]]
+        points = problem.pressure_space.tabulate_dof_coordinates()[: problem.pressure_dofs.size]
+        first = np.lexsort((points[:, 0], points[:, 0] + points[:, 1]))[:1]
+        places = comm.allgather([(x + y, x) for x, y, _ in points[first]])  # nothing from a rank without nodes
+        if places[comm.rank] != [min(place for of_rank in places for place in of_rank)]:
+            first = first[:0]
+        self._reference = problem.pressure_dofs[first]
 
     def _nodes(self, facets: np.ndarray) -> np.ndarray:
-        """Return the P2 nodes on facets."""
-        return fem.locate_dofs_topological(self._problem.velocity_space, 1, facets)
+        """Return the P2 nodes on facets, other ranks' facets too, that this rank owns."""
+        nodes = fem.locate_dofs_topological(self._problem.velocity_space, 1, facets)
+        return nodes[nodes < self._problem.velocity_dofs.size // 2]
 
     def conditions(self, direction: float) -> tuple[np.ndarray, np.ndarray]:
         """Return which unknowns are prescribed, (n,) of bool, and their values with zeros elsewhere, (n,)."""
