@@ -42,6 +42,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         print(f"dafw {version('dafw')}")
         return 0
+    if launched()[1] > 1:
+        return together(lambda communicator: _ended(lambda: _run(words[1:], communicator)), words)
     commands: dict[str, Callable[[list[str]], int]] = {
         "run": _run,
         "plugins": _plugins,
@@ -52,8 +54,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     }
     if words[0] not in commands:
         return _refuse(f"unknown command '{words[0]}' (commands: {', '.join(commands)})")
-    if launched()[1] > 1:
-        return together(lambda communicator: _ended(lambda: _run(words[1:], communicator)), words)
     status, message = _ended(lambda: commands[words[0]](words[1:]))
     return _refuse(message, status) if message else status
 

@@ -11,6 +11,7 @@ import os
 import sys
 import time
 import traceback
+import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -35,7 +36,8 @@ def together(command: Callable[[Any], tuple[int, str]], words: Sequence[str]) ->
     rank, size = launched()
     if words[0] != "run":
         return _say(2, f"'dafw {words[0]}' works in one process: mpirun is for 'dafw run'", rank)
-    from mpi4py import MPI
+    with warnings.catch_warnings(action="ignore", category=RuntimeWarning):  # of another mpirun: said below
+        from mpi4py import MPI
 
     world = MPI.COMM_WORLD
     if world.size != size:
@@ -55,7 +57,8 @@ def together(command: Callable[[Any], tuple[int, str]], words: Sequence[str]) ->
     except Exception:
         status, message = 1, traceback.format_exc()
     if not _all_ended(endings, PATIENCE if status else math.inf):
-        print(f"dafw: rank {rank}: {message}" if message else f"dafw: rank {rank} failed", file=sys.stderr, flush=True)
+        if message:
+            print(f"dafw: rank {rank}: {message}", file=sys.stderr, flush=True)
         world.Abort(status)
     ends = endings.allgather((status, message))
     status, message = next((end for end in ends if end[0]), (0, ""))

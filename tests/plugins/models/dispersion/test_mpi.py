@@ -1,0 +1,255 @@
+"""Two ranks of mpiexec on one domain find what one process finds, and a run of theirs is the run of one."""
+
+import dolfinx_solver  # noqa: F401  (before dolfinx)
+
+# isort: split
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import netCDF4
+import numpy as np
+import pytest
+import ufl
+import yaml
+from dolfinx import fem
+from mpi4py import MPI
+from scipy.spatial import KDTree
+from shared_domain import results
+
+from dafw.cli import main
+from dafw.core.errors import ConfigurationError
+from dafw.core.experiment import assemble, study_from
+from dafw.core.options import build
+from dafw.plugins.models.dispersion.mesh import generate, load
+from dafw.plugins.models.dispersion.model_ins import AdvectionDiffusionINS
+from dafw.plugins.models.dispersion.taylor_hood import TaylorHood
+from dafw.plugins.models.dispersion.transport import Transport, TransportOptions
+from dafw.plugins.models.dispersion.wind import WindOptions, WindSolver
+
+HERE = Path(__file__).parent
+AGREED = 1e-9
+VELOCITIES = [f"velocity {boundary} {name}" for boundary in ("uniform", "outflow") for name in ("first", "second")]
+CLOUDS = [f"{s} {b} {w}" for s in ("galerkin", "supg") for b in ("uniform", "outflow") for w in ("flow", "uniform")]
+
+
+def mpiexec(*words, cwd):
+    """Run two Python processes by the mpiexec beside this interpreter."""
+    command = [str(Path(sys.executable).parent / "mpiexec"), "-n", "2", sys.executable, *map(str, words)]
+    return subprocess.run(command, cwd=cwd, env=os.environ, capture_output=True, text=True, timeout=90)
+
+
+@pytest.fixture(scope="module")
+def options(small_model):
+    """Some 700 nodes around one tank."""
+    return small_model | {"mesh": {"wall_size": 5.0, "far_size": 8.0, "transition": 20.0}}
+
+
+@pytest.fixture(scope="module")
+def mesh_file(options):
+    model = build(AdvectionDiffusionINS, options, "model")
+    return generate(model.ground, model.mesh)
+
+
+@pytest.fixture(scope="module")
+def alone(options):
+    """What one process finds."""
+    return results(MPI.COMM_SELF, options)
+
+
+@pytest.fixture(scope="module")
+def shared(options, mesh_file, tmp_path_factory):
+    """What two ranks find."""
+    folder = tmp_path_factory.mktemp("shared")
+    ended = mpiexec(HERE / "shared_domain.py", folder / "found.npz", json.dumps(options), cwd=folder)
+    assert ended.returncode == 0, ended.stderr
+    with np.load(folder / "found.npz") as found:
+        return dict(found)
+
+
+def matched(alone, shared):
+    """Return the values of both at the same places."""
+    distances, places = KDTree(shared[:, :2]).query(alone[:, :2])
+    assert distances.max() < 1e-9 and len(np.unique(places)) == len(shared)
+    return alone[:, 2:], shared[places, 2:]
+
+
+def test_the_ranks_share_the_nodes_and_hold_the_same_bits(alone, shared):
+    assert 500 < alone["nodes"].sum() == shared["nodes"].sum() and len(shared["nodes"]) == 2
+    assert shared["nodes"].min() > 0.3 * shared["nodes"].sum()
+    assert shared["same on all ranks"].tolist() == [True, True]
+
+
+@pytest.mark.parametrize("name", VELOCITIES)
+def test_two_ranks_find_the_wind_of_one(mesh_file, alone, shared, name):
+    one, two = matched(alone[name], shared[name])
+    space = TaylorHood(load(mesh_file).mesh).velocity_space
+
+    def norm(values):
+        function = fem.Function(space)
+        function.x.array[:] = values.ravel()
+        return np.sqrt(fem.assemble_scalar(fem.form(ufl.inner(function, function) * ufl.dx)))
+
+    assert norm(two - one) < AGREED * norm(one)
+    assert np.abs(two - one).max() < AGREED * np.abs(one).max()
+
+
+@pytest.mark.parametrize("name", [name.replace("velocity", "pressure") for name in VELOCITIES])
+def test_the_pressure_is_fixed_at_the_same_node(alone, shared, name):
+    one, two = matched(alone[name], shared[name])
+    assert np.abs(two - one).max() < AGREED * np.abs(one).max()
+    if "uniform" in name:
+        assert np.count_nonzero(one == 0.0) == np.count_nonzero(two == 0.0) == 1
+
+
+@pytest.mark.parametrize("name", CLOUDS)
+def test_two_ranks_carry_the_cloud_of_one(alone, shared, name):
+    one, two = matched(alone[name], shared[name])
+    assert np.abs(one).max() > 0.5
+    assert np.abs(two - one).max() < AGREED * np.abs(one).max()
+
+
+@pytest.mark.parametrize("name", ["members", "units"])
+def test_state_and_memory_keep_the_numbering_of_one_process(alone, shared, name):
+    assert alone[name].shape == shared[name].shape
+    assert np.abs(shared[name] - alone[name]).max() < 1e-8 * np.abs(alone[name]).max()
+
+
+@pytest.mark.parametrize(
+    ("name", "error"),
+    [
+        ("no such file", "MeshError: mesh file nowhere.msh: not found"),
+        ("reduced", "ConfigurationError: wind: solver 'reduced' works in one process"),
+        ("bad start", "ContractError: wind: expected a start of"),
+        ("too few steps", "WindError: wind: no solution"),
+    ],
+)
+def test_what_is_wrong_is_an_error_on_every_rank(shared, name, error):
+    told = shared[f"failure {name}"]
+    assert len(told) == 2 and all(line.startswith(error) for line in told)
+
+
+def test_a_communicator_of_one_rank_changes_no_bit(mesh_file):
+    def found(tagged):
+        solver = WindSolver(tagged, WindOptions(viscosity=10.0))
+        wind = solver.solve(4.0, 1.0)
+        transport = Transport(tagged, TransportOptions(), 1.0)
+        return wind.unit, transport.system(solver.velocity(wind)).step(np.ones(transport.nodes))
+
+    for one, other in zip(found(load(mesh_file)), found(load(mesh_file, MPI.COMM_WORLD)), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+@pytest.fixture(scope="module")
+def folder(small_model, tmp_path_factory):
+    """A working folder with a small experiment."""
+    study = {
+        "defaults": [{"override /model": "ad_ins"}, {"override /observer": "drone"}, "_self_"],
+        "name": "small",
+        "members": 2,
+        "cycles": 2,
+        "record": {"members": "all"},
+        "pictures": False,
+        "model": small_model | {"noise": 0.1, "wind": {"tolerance": 1e-11}},
+        "truth": {"wind_speed": 4.0, "wind_speed_sd": 0.0, "noise": 0.0},
+        "free": {"wind_speed_sd": 0.0, "noise": 0.0},
+        "vehicle": {"start": [[60.0, 10.0]]},
+    }
+    made = tmp_path_factory.mktemp("runs")
+    (made / "my" / "experiment").mkdir(parents=True)
+    (made / "my" / "experiment" / "small.yaml").write_text("# @package _global_\n" + yaml.safe_dump(study))
+    return made
+
+
+RUN = ["-m", "dafw.cli", "run", "--config-dir", "my", "experiment=small"]
+
+
+def test_a_run_of_two_ranks_is_that_of_one_process(folder, monkeypatch, capsys):
+    ended = mpiexec(*RUN, cwd=folder)
+    assert (ended.returncode, ended.stderr) == (0, "")
+    (path,) = (folder / "outputs" / "small").iterdir()
+    assert ended.stdout.splitlines()[-1] == str(path) and len(ended.stdout.splitlines()) == 2
+    summary = json.loads((path / "summary.json").read_text())
+    assert (summary["status"], summary["cycles"], summary["processes"]) == ("complete", 2, 2)
+    monkeypatch.chdir(folder)
+    assert main([*RUN[2:], "hydra.run.dir=alone"]) == 0
+    capsys.readouterr()
+    with netCDF4.Dataset(path / "run.nc") as two, netCDF4.Dataset(folder / "alone" / "run.nc") as one:
+        assert one.variables.keys() == two.variables.keys()
+        for name in one.variables:
+            if one[name].dtype is str or name == "phase_seconds":
+                continue
+            values = np.ma.filled(one[name][...].astype(float), -1.0)
+            # fields are stored in single precision, and may be rounded to neighbours
+            allowed = 1e-8 if one[name].dtype == np.float64 else 1e-7
+            difference = np.nan_to_num(np.ma.filled(two[name][...].astype(float), -1.0) - values)
+            assert np.abs(difference).max() <= allowed * np.nan_to_num(np.abs(values)).max(), name
+        assert np.ptp(one["err"][:]) > 0.1
+
+
+def test_what_the_ranks_cannot_share_is_refused_in_one_line(folder):
+    ended = mpiexec(*RUN, "model.wind.solver=reduced", "hydra.run.dir=refused", cwd=folder)
+    assert (ended.returncode, ended.stdout) == (2, "")
+    (line,) = ended.stderr.splitlines()
+    assert line.startswith("dafw: model 'ad_ins': wind: solver 'reduced' works in one process, expected 'newton'")
+    assert not (folder / "refused").exists()
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"executor": {"name": "processes"}}, "mpirun expects the executor 'serial', got 'processes'"),
+        ({}, "model 'lorenz96' works in one process"),
+    ],
+)
+def test_a_study_that_cannot_be_shared_is_refused(changes, message):
+    study = {"model": {"name": "lorenz96"}, "observer": {"name": "grid"}, "policy": {"name": "stationary"}}
+    with pytest.raises(ConfigurationError, match=re.escape(message)):
+        assemble(study_from(study | {"filter": {"name": "none"}} | changes), MPI.COMM_SELF)
+
+
+TROUBLE = """\
+import os, sys
+import dafw.mpirun
+from dafw.cli import main
+from dafw.plugins.models.dispersion.newton import Newton
+
+def fail(self, *arguments):
+    raise MemoryError("no room")
+
+dafw.mpirun.PATIENCE = 0.5
+if os.environ["PMI_RANK"] == "1":
+    Newton.factorise = fail
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+def test_trouble_on_one_rank_ends_them_all(folder):
+    (folder / "trouble.py").write_text(TROUBLE)
+    ended = mpiexec("trouble.py", *RUN[2:], "hydra.run.dir=trouble", cwd=folder)
+    assert ended.returncode == 1
+    assert "dafw: rank 1: at t = 0 s, phase 'forecast': model 'ad_ins' raised MemoryError: no room" in ended.stderr
+    assert json.loads((folder / "trouble" / "summary.json").read_text())["status"] == "interrupted"
+
+
+def test_other_commands_are_refused_by_one_rank_and_load_no_mpi(folder):
+    code = "import sys; from dafw.cli import main; print(main(['plugins']), 'mpi4py' in sys.modules)"
+    ended = mpiexec("-c", code, cwd=folder)
+    assert ended.stdout.splitlines() == ["2 False", "2 False"]
+    assert ended.stderr == "dafw: 'dafw plugins' works in one process: mpirun is for 'dafw run'\n"
+
+
+def test_a_single_process_never_asks_for_mpi_where_it_need_not(folder):
+    code = "import sys; from dafw.cli import main; main(['--help']); main(['plugins']); print('mpi4py' in sys.modules)"
+    ended = subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, timeout=60)
+    assert ended.stdout.splitlines()[-1] == "False"
+
+
+def test_the_mpirun_of_another_library_is_refused(monkeypatch, capsys):
+    monkeypatch.setenv("OMPI_COMM_WORLD_SIZE", "2")
+    monkeypatch.setenv("OMPI_COMM_WORLD_RANK", "0")
+    assert main(["run"]) == 2
+    assert capsys.readouterr().err == "dafw: mpirun started 2 processes, which see 1: expected the mpirun of MPICH\n"
