@@ -51,12 +51,12 @@ class MixedSpace:
 
     def places_in(self, whole: MixedSpace) -> np.ndarray:
         """Return for every mixed unknown (n,) which one it is in the space on the same mesh, not partitioned."""
+        pairs = (whole.velocity_space, self.velocity_space), (whole.pressure_space, self.pressure_space)
+        velocity, pressure = (nearest(*(space.tabulate_dof_coordinates() for space in pair)) for pair in pairs)
         places = np.empty(self.velocity_dofs.size + self.pressure_dofs.size, dtype=np.int64)
-        points = (space.velocity_space.tabulate_dof_coordinates() for space in (whole, self))
-        nodes = nearest(*points)[: self.velocity_dofs.size // 2]
+        nodes = velocity[: self.velocity_dofs.size // 2]
         places[self.velocity_dofs] = whole.velocity_dofs.reshape(-1, 2)[nodes].ravel()
-        points = (space.pressure_space.tabulate_dof_coordinates() for space in (whole, self))
-        places[self.pressure_dofs] = whole.pressure_dofs[nearest(*points)[: self.pressure_dofs.size]]
+        places[self.pressure_dofs] = whole.pressure_dofs[pressure[: self.pressure_dofs.size]]
         return places
 
 
