@@ -17,6 +17,8 @@ from typing import Any
 
 PATIENCE = 10.0
 """Seconds for which a rank that failed waits for the others to come to an end, too; then it ends them."""
+FAREWELL = 1.0
+"""Seconds that mpirun has to pass on a last message; ended at once, it may lose it."""
 LAUNCHERS = (("PMI_RANK", "PMI_SIZE"), ("OMPI_COMM_WORLD_RANK", "OMPI_COMM_WORLD_SIZE"))
 
 
@@ -59,6 +61,7 @@ def together(command: Callable[[Any], tuple[int, str]], words: Sequence[str]) ->
     if not _all_ended(endings, PATIENCE if status else math.inf):
         if message:
             print(f"dafw: rank {rank}: {message}", file=sys.stderr, flush=True)
+        time.sleep(FAREWELL)
         world.Abort(status)
     ends = endings.allgather((status, message))
     status, message = next((end for end in ends if end[0]), (0, ""))
