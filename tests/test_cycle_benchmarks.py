@@ -5,7 +5,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+
+from benchmarks import curves
+from benchmarks.cycle import SMALL
 
 ROOT = Path(__file__).parent.parent
 NAMES = ["cycle.realtime_factor_n10", "cycle.over_literal", "cycle.overhead_ms"]
@@ -34,3 +38,15 @@ def test_the_parts_of_a_cycle_fit_into_it(results):
     detail = results["cycle.overhead_ms"]["detail"]
     parts = sum(detail[f"{part}_ms"] for part in ("model", "filter", "policy", "observer"))
     assert 0.0 < parts < detail["cycle_ms"]
+
+
+def test_curves_of_two_seeds(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(curves, "PAPER", SMALL)
+    monkeypatch.setattr(curves, "BEST", ("model.wind.keep_factorisation=true",))
+    files = ["--csv", str(tmp_path / "all.csv"), "--picture", str(tmp_path / "curves.png")]
+    assert curves.main(["--seeds", "0", "1", "--cycles", "2", *files]) == 0
+    rows = np.loadtxt(tmp_path / "all.csv", delimiter=",", skiprows=1)
+    assert rows[:, 0].tolist() == [0.0, 0.0, 1.0, 1.0]
+    np.testing.assert_allclose(rows[:, 3], rows[:, 2], rtol=1e-3)
+    assert "Standard deviation of ERR over the seeds" in capsys.readouterr().out
+    assert (tmp_path / "curves.png").read_bytes().startswith(b"\x89PNG")
