@@ -93,6 +93,7 @@ class _Run:
         self.seconds: dict[str, float] = {}
         self.scores: dict[str, float] = {}
         self.parameters: dict[str, dict[str, float]] = {}
+        self.pinned: dict[str, Mapping[str, Any]] = {}
         self.record: Record | None = None
         self.summary: dict[str, Any] = {}
         # Until it says otherwise, a run that leaves no word was cut off.
@@ -105,7 +106,9 @@ class _Run:
         log.info("study '%s', seed %d, %d members", self.study.name, self.study.seed, self.study.members)
         parts.executor.start(parts.model, self.study.model)
         state = start(parts, self.study.members, vehicle)
+        self.pinned = _pinned(parts)
         self.seconds["set-up"] = perf_counter() - self.begun
+        stop.patient = True
         _log_domain(parts)
         self.record = Record(
             self.folder / "run.nc",
@@ -118,6 +121,7 @@ class _Run:
                 "name": self.study.name,
                 "seed": self.study.seed,
                 "dafw_version": version("dafw"),
+                **{f"{role}_pinned": json.dumps(options) for role, options in self.pinned.items()},
             },
         )
         logged = 0.0
@@ -168,6 +172,7 @@ class _Run:
             "err_free_final": _finite(self.scores.get("err_free")),
             "parameters_final": self.parameters,
             "wall_seconds": round(perf_counter() - self.begun, 3),
+            "pinned": self.pinned,
             "phase_seconds": {phase: round(seconds, 4) for phase, seconds in self.seconds.items()},
             "versions": _versions(),
         }
@@ -195,6 +200,13 @@ def _kept_whole(study: Study, parts: Parts) -> list[str]:
     if study.record.members == "all":
         return [variable.name for variable in variables]
     return [variable.name for variable in variables if variable.size == 1 and study.record.members == "parameters"]
+
+
+def _pinned(parts: Parts) -> dict[str, Mapping[str, Any]]:
+    """Return what the models found where their options left it open, such as the newest reduced basis, by role."""
+    models = {"model": parts.model, "truth": parts.truth, "free": parts.free}
+    found = {role: model.pinned_options() for role, model in models.items() if model is not None}
+    return {role: options for role, options in found.items() if options}
 
 
 def _parameters(parts: Parts, state: State) -> dict[str, dict[str, float]]:

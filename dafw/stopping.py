@@ -14,10 +14,14 @@ class Interrupted(BaseException):
 
 
 class Stop:
-    """Whether the run was asked to stop; it does so between two cycles, never while a file is being written."""
+    """Whether the run was asked to stop.
+
+    It does so at once during set-up, which may take minutes, and later, when it is ``patient``, between two cycles,
+    never while a file is being written.
+    """
 
     def __init__(self) -> None:
-        self.asked = False
+        self.asked = self.patient = False
 
     def agreed(self, communicator: Any) -> bool:
         """Say whether any rank of an MPI communicator was asked to stop, and have it asked of all."""
@@ -27,14 +31,14 @@ class Stop:
 
     def __call__(self, number: int, frame: Any) -> None:
         """Note the signal."""
-        if self.asked and number == signal.SIGINT:
-            raise KeyboardInterrupt  # the second Ctrl-C does not wait
+        if not self.patient or (self.asked and number == signal.SIGINT):
+            raise KeyboardInterrupt  # nor does the second Ctrl-C wait
         self.asked = True
 
 
 @contextmanager
 def stop_signals() -> Iterator[Stop]:
-    """Let Ctrl-C and SIGTERM end a run after the cycle that it is in, with everything kept."""
+    """Let Ctrl-C and SIGTERM end a run: in set-up at once, then after the cycle that it is in, with everything kept."""
     stop = Stop()
     if threading.current_thread() is not threading.main_thread():
         yield stop

@@ -21,6 +21,7 @@ from dafw.core.interfaces import Filter, Model, Observer, Policy
 from dafw.core.options import build, merged, option
 from dafw.core.registry import KINDS, registry
 from dafw.core.rng import Streams
+from dafw.core.sharing import together
 
 NAME = re.compile(r"[\w.-]{1,100}")
 
@@ -87,7 +88,7 @@ def study_from(config: Mapping[str, Any]) -> Study:
 
 
 def _models(study: Study) -> tuple[Model, Model, Model | None]:
-    """Make the model, the truth and the free run."""
+    """Make the model, the truth and the free run, which share what they have in common."""
 
     def make(role: str, changes: Mapping[str, Any]) -> Model:
         try:
@@ -96,7 +97,8 @@ def _models(study: Study) -> tuple[Model, Model, Model | None]:
             raise type(error)(f"{role}: {error}" if changes else str(error)) from error
         return model
 
-    return make("model", {}), make("truth", study.truth), None if study.free is None else make("free", study.free)
+    with together():
+        return make("model", {}), make("truth", study.truth), None if study.free is None else make("free", study.free)
 
 
 def assemble(study: Study, communicator: Any = None) -> tuple[Parts, Vehicle]:

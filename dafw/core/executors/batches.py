@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -35,11 +34,6 @@ class Batch:
         """The members as messages name them: ``members 4 to 7``."""
         last = self.first + len(self.members) - 1
         return f"member {last}" if last == self.first else f"members {self.first} to {last}"
-
-
-def cores() -> int:
-    """Return how many cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def split(model: Model, members: Array, memory: Memory | None, t: float, rng: MemberStreams, count: int) -> list[Batch]:

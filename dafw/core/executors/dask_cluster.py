@@ -16,12 +16,13 @@ from typing import Any
 from dafw.core.ensemble import Memory, Step
 from dafw.core.errors import ComputationError, ConfigurationError
 from dafw.core.executors import Executor
-from dafw.core.executors.batches import Batch, cores, join, split
-from dafw.core.executors.worker import Outcome, step_batch
+from dafw.core.executors.batches import Batch, join, split
+from dafw.core.executors.worker import step_batch
 from dafw.core.interfaces import Model
 from dafw.core.options import merged, option
 from dafw.core.rng import MemberStreams
 from dafw.core.space import Array
+from dafw.core.workers import Outcome, cores
 
 log = logging.getLogger("dafw")
 
@@ -103,15 +104,8 @@ class Dask(Executor):
         return partial(self._collect, model, batches, futures)
 
     def _collect(self, model: Model, batches: Sequence[Batch], futures: Sequence[Any]) -> Step:
-        steps = []
-        for batch, future in zip(batches, futures, strict=True):
-            outcome = self._outcome(batch, future)
-            outcome.relog()
-            if outcome.error:
-                raise outcome.error
-            if outcome.step is not None:
-                steps.append(outcome.step)
-        return join(model, batches, steps)
+        pairs = zip(batches, futures, strict=True)
+        return join(model, batches, [self._outcome(batch, future).get() for batch, future in pairs])
 
     def _outcome(self, batch: Batch, future: Any) -> Outcome:
         from concurrent.futures import CancelledError

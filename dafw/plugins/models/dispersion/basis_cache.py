@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from dafw.core.errors import ConfigurationError
 from dafw.plugins.models.dispersion.basis_file import BasisStore
@@ -39,7 +40,8 @@ def basis_for(tagged_mesh: TaggedMesh, options: WindOptions) -> tuple[BasisStore
     store = BasisStore(cache_folder() / f"wind-basis-{key(tagged_mesh, options)}")
     if wanted := options.basis.digest:
         return store, wanted, store.load(wanted)
-    with store.lock():
+    # One thread, in this process as in others: the bits of a basis must not depend on the number of cores.
+    with store.lock(), threadpool_limits(limits=1):
         digest, basis = store.newest() or _made(tagged_mesh, options, store)
         room = LARGEST * options.basis.modes - basis.quadratic.shape[0]
         waiting = store.waiting(len(basis.velocities), min(room, MOST_AT_ONCE))
@@ -49,8 +51,7 @@ def basis_for(tagged_mesh: TaggedMesh, options: WindOptions) -> tuple[BasisStore
 
             parameters = np.stack([wind.parameters for wind in waiting])
             winds = np.stack([wind.velocity for wind in waiting], axis=1)
-            basis = enrich(WindSolver(tagged_mesh, options), basis, parameters, winds)
-            digest = store.save(basis)
+            digest = store.save(basis := enrich(WindSolver(tagged_mesh, options), basis, parameters, winds))
             for wind in waiting:  # only now: whoever is cut off before begins again
                 wind.path.unlink(missing_ok=True)
     return store, digest, basis
@@ -60,7 +61,7 @@ def _made(tagged_mesh: TaggedMesh, options: WindOptions, store: BasisStore) -> t
     from dafw.plugins.models.dispersion.reduced_basis import build
     from dafw.plugins.models.dispersion.wind import WindSolver
 
-    basis = build(WindSolver(tagged_mesh, options))
+    basis = build(WindSolver(tagged_mesh, replace(options, keep_factorisation=True)), tagged_mesh.file)
     return store.save(basis), basis
 
 

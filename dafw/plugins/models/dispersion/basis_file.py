@@ -5,7 +5,8 @@
     <key>/waiting/*.npz    winds that were solved in full and wait to be taken in
     <key>/lock             held by whoever makes or enriches a basis
 
-Everything is written beside and moved into place, so that no reader sees half a file.
+Everything is written beside and moved into place, so that no reader sees half a file. Where a basis is added, those go
+that are not among the newest and were not used for weeks.
 """
 
 from __future__ import annotations
@@ -15,8 +16,9 @@ import io
 import logging
 import os
 import tempfile
+import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from zipfile import BadZipFile
@@ -27,6 +29,13 @@ from dafw.core.errors import ConfigurationError
 from dafw.plugins.models.dispersion.reduced_flow import ReducedBasis
 
 log = logging.getLogger(__name__)
+
+NEWEST = 3
+"""Bases that stay, however long nobody used them."""
+UNUSED = 14 * 24 * 3600.0
+"""Seconds since its last use after which an older basis goes: no run lasts so long."""
+MOST_WAITING = 200
+"""Winds that may wait: enough for several enrichments, and a basis that is full takes in no more."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +79,8 @@ class BasisStore:
             ) from None
         if _digest(content) != digest:
             raise ConfigurationError(f"wind: the reduced basis {path} is damaged; delete it")
+        with suppress(OSError):  # a cache that cannot be written to
+            os.utime(path, ns=(time.time_ns(), path.stat().st_mtime_ns))
         with np.load(io.BytesIO(content)) as arrays:
             return ReducedBasis(**arrays)
 
@@ -86,15 +97,22 @@ class BasisStore:
             return None
 
     def save(self, basis: ReducedBasis) -> str:
-        """Write a basis, make it the newest, return its digest."""
+        """Write a basis, make it the newest, return its digest; old ones that nobody uses go."""
         content = _packed(**basis.arrays())
         digest = _digest(content)
         _place(self.folder / f"{digest}.npz", content)
         _place(self.folder / "current", digest.encode())
+        made = sorted(self.folder.glob("*.npz"), key=lambda path: path.stat().st_mtime_ns)
+        for path in made[:-NEWEST]:
+            if path.stem != digest and time.time() - path.stat().st_atime > UNUSED:
+                path.unlink()
+                log.info("reduced basis: %s, not used for %d days, is removed", path, UNUSED / 86400)
         return digest
 
     def submit(self, reynolds: float, direction: float, velocity: np.ndarray) -> None:
-        """Leave a wind (2 v,) for the next basis."""
+        """Leave a wind (2 v,) for the next basis, unless very many wait already."""
+        if len(list((self.folder / "waiting").glob("*.npz"))) >= MOST_WAITING:
+            return
         parameters = np.array([reynolds, direction])
         content = _packed(parameters=parameters, velocity=velocity)
         _place(self.folder / "waiting" / f"{_digest(parameters.tobytes())}.npz", content)

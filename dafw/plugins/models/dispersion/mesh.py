@@ -45,10 +45,11 @@ class MeshOptions:
 
 @dataclass(frozen=True)
 class TaggedMesh:
-    """A DOLFINx mesh in metres with its boundary facets tagged ``OUTER`` or ``WALL``."""
+    """A DOLFINx mesh in metres with its boundary facets tagged ``OUTER`` or ``WALL``; the file that it came from."""
 
     mesh: Any
     facet_tags: Any
+    file: Path | None = None
 
 
 def generate(site: Site, options: MeshOptions) -> Path:
@@ -110,7 +111,7 @@ def load(path: Path, comm: Any = None) -> TaggedMesh:
     mesh.topology.create_connectivity(1, 2)
     if not all(comm.allgather(np.array_equal(np.sort(tags.indices), np.sort(exterior_facet_indices(mesh.topology))))):
         raise MeshError(f"mesh file {path}: {len(tags.indices)} facets are tagged, expected exactly the boundary")
-    return TaggedMesh(mesh, tags)
+    return TaggedMesh(mesh, tags, path)
 
 
 def topology(tagged: TaggedMesh) -> tuple[np.ndarray, np.ndarray]:

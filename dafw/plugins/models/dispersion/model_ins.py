@@ -12,7 +12,7 @@ memory of the run, so that nothing depends on what else ran in the process.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +21,7 @@ import numpy as np
 from dafw.core.ensemble import Diagnostic, Diagnostics, Memory
 from dafw.core.errors import ConfigurationError, SolverError, about_member
 from dafw.core.options import option
+from dafw.core.sharing import Shared, shared
 from dafw.core.space import Array
 from dafw.plugins.models.dispersion.model import AdvectionDiffusion
 from dafw.plugins.models.dispersion.partition import Partition, Undivided
@@ -45,6 +46,8 @@ class AdvectionDiffusionINS(AdvectionDiffusion):
         "stop", "a wind that cannot be solved: stop, or keep the member's last good one", choices=("stop", "keep")
     )
 
+    _shared: Shared = field(default_factory=shared, init=False, repr=False, compare=False)
+
     @cached_property
     def ground(self) -> Site:
         """The site with its buildings: the wind stands still at their walls."""
@@ -52,8 +55,9 @@ class AdvectionDiffusionINS(AdvectionDiffusion):
 
     @cached_property
     def solver(self) -> WindSolver:
-        """The wind solver on this mesh."""
-        return wind_solver(self.part_mesh, self.wind)
+        """The wind solver on this mesh, one for all models of a run whose options are the same."""
+        name = ("wind solver", self.part_mesh, repr(self.wind))
+        return self._shared.once(name, lambda: wind_solver(self.part_mesh, self.wind))
 
     def share(self, communicator: Any) -> None:
         """Have the ranks of an MPI communicator share the mesh; raises ConfigurationError where the solver cannot."""
@@ -135,7 +139,8 @@ class AdvectionDiffusionINS(AdvectionDiffusion):
             return None
         from dafw.plugins.models.dispersion.reduced_advection import ReducedAdvection
 
-        return ReducedAdvection(self._transport, self.solver)
+        name = ("reduced advection", self.tagged_mesh, repr(self.wind))  # diffusion and time step have no say in it
+        return self._shared.once(name, lambda: ReducedAdvection(self._transport, self.solver))
 
     def system(self, wind: Array, reuse: TransportSystem | None = None) -> TransportSystem:
         """Return the steps of the gas in the wind of one member; ``reuse`` is given up."""
