@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
+SMALL = 1_000_000
+"""Unknowns times winds, some ten seconds of work, up to which starting other processes is not worth its time."""
+
 
 @dataclass(frozen=True)
 class Snapshots:
@@ -47,8 +50,8 @@ def grid(options: WindOptions) -> tuple[np.ndarray, np.ndarray]:
 def snapshots(solver: WindSolver, mesh_file: Path | None) -> Snapshots:
     """Return the winds of the grid, solved by as many processes as there are cores; some minutes on a large mesh.
 
-    Other processes read the mesh from its file; where it has none, all is solved in this one. A wind that cannot be
-    solved ends its row, with a line in the log. Raises WindError where there is none at all.
+    Other processes read the mesh from its file; where it has none, or there is little to do, all is solved in this one.
+    A wind that cannot be solved ends its row, with a line in the log. Raises WindError where there is none at all.
     """
     from tqdm import tqdm
 
@@ -56,7 +59,8 @@ def snapshots(solver: WindSolver, mesh_file: Path | None) -> Snapshots:
 
     directions, intensities = grid(solver.options)
     winds = directions.size * intensities.size
-    workers = 1 if mesh_file is None else min(spare_cores(), directions.size)
+    alone = mesh_file is None or winds * solver.problem.unknowns <= SMALL
+    workers = 1 if alone else min(spare_cores(), directions.size)
     log.info("reduced basis: solving %d winds, processes: %d", winds, workers)
     found: dict[int, Snapshots] = {}
     with (

@@ -1,15 +1,19 @@
 """Reduced bases on disk: whole, shared, enriched by several processes, made anew where damaged."""
 
 import logging
+import os
 import subprocess
 import sys
+import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from flow_meshes import rectangle
 
 from dafw.core.errors import ConfigurationError
+from dafw.plugins.models.dispersion import basis_file
 from dafw.plugins.models.dispersion.basis_cache import key
 from dafw.plugins.models.dispersion.basis_file import BasisStore
 from dafw.plugins.models.dispersion.reduced_flow import ReducedBasis
@@ -20,9 +24,13 @@ OPTIONS = WindOptions(
 )
 
 
+def plain_block():
+    return rectangle(5, 5, (100.0, 100.0), [(40.0, 40.0, 60.0, 60.0)])
+
+
 @pytest.fixture(scope="module")
 def block():
-    return rectangle(5, 5, (100.0, 100.0), [(40.0, 40.0, 60.0, 60.0)])
+    return plain_block()
 
 
 @pytest.fixture
@@ -64,6 +72,30 @@ def test_a_basis_stays_when_a_newer_one_comes(tmp_path, basis):
 def test_a_basis_that_is_not_there_is_a_wrong_request(tmp_path):
     with pytest.raises(ConfigurationError, match="basis abc is not in the cache"):
         BasisStore(tmp_path).load("abc")
+
+
+def test_a_basis_asked_for_by_name_must_be_whole(tmp_path, basis):
+    store = BasisStore(tmp_path)
+    digest = store.save(basis)
+    file = tmp_path / f"{digest}.npz"
+    file.write_bytes(file.read_bytes()[:-1])
+    with pytest.raises(ConfigurationError, match=f"the reduced basis .*{digest}.npz is damaged; delete it"):
+        store.load(digest)
+
+
+def test_old_bases_that_nobody_used_for_weeks_go(tmp_path, basis, caplog):
+    caplog.set_level(logging.INFO)
+    store = BasisStore(tmp_path)
+    digests = [store.save(replace(basis, gram=k * basis.gram)) for k in range(5)]
+    long_ago = time.time() - 1.1 * basis_file.UNUSED
+    for k, digest in enumerate(digests):
+        os.utime(tmp_path / f"{digest}.npz", (long_ago, long_ago + k))
+    store.load(digests[1])  # used now
+    newest = store.save(replace(basis, gram=9.0 * basis.gram))
+    left = {path.stem for path in tmp_path.glob("*.npz")}
+    assert left == {digests[1], digests[3], digests[4], newest}
+    assert caplog.text.count("is removed") == 2
+    assert store.newest()[0] == newest
 
 
 @pytest.mark.parametrize("damage", [lambda c: c[: len(c) // 2], lambda c: b"something else", lambda c: c[:-1] + b"x"])
@@ -110,6 +142,25 @@ def test_winds_solved_in_full_enrich_the_next_basis_and_not_the_one_in_use(block
     assert wind_solver(block, pinned).digest == solver.digest  # who wants the old one still has it
 
 
+def test_a_wind_that_the_basis_knows_by_then_adds_nothing(block, cache):
+    first = wind_solver(block, OPTIONS)
+    first.solve(6.0, 0.5)
+    richer = wind_solver(block, OPTIONS)
+    late = wind_solver(block, replace(OPTIONS, basis=replace(OPTIONS.basis, digest=first.digest)))
+    late.solve(6.0, 0.5)  # a run that began before, and meets the same wind
+    assert len(list((only_folder(cache) / "waiting").iterdir())) == 1
+    assert wind_solver(block, OPTIONS).digest == richer.digest
+    assert not list((only_folder(cache) / "waiting").iterdir())
+
+
+def test_no_more_winds_wait_than_can_be_used(tmp_path, monkeypatch):
+    monkeypatch.setattr(basis_file, "MOST_WAITING", 3)
+    store = BasisStore(tmp_path)
+    for k in range(5):
+        store.submit(0.1 * k, 0.0, np.zeros(6))
+    assert len(store.waiting(6, 100)) == 3
+
+
 def test_a_wind_that_cannot_be_read_is_put_away(block, cache, caplog):
     digest = wind_solver(block, OPTIONS).digest
     waiting = only_folder(cache) / "waiting"
@@ -146,3 +197,47 @@ def test_two_processes_at_once_lose_nothing(tmp_path):
     )
     assert all((wind.velocity == wind.parameters[1]).all() for wind in winds)
     assert not list(tmp_path.glob("**/making-*"))
+
+
+ENRICHING = """
+import sys, time
+from pathlib import Path
+sys.path.insert(0, sys.argv[1])
+from test_basis_file import OPTIONS, plain_block
+from dafw.plugins.models.dispersion.wind import wind_solver
+number, meeting = int(sys.argv[2]), Path(sys.argv[3])
+
+def meet(purpose):
+    (meeting / f"{purpose}-{number}").touch()
+    while len(list(meeting.glob(f"{purpose}-*"))) < 2:
+        time.sleep(0.001)
+
+solver = wind_solver(plain_block(), OPTIONS)
+meet("solve")
+assert not solver.trusts(solver.solve(6.0, float(number)).unit)
+meet("enrich")
+richer = wind_solver(plain_block(), OPTIONS)
+print(richer.digest, *(richer.trusts(richer.solve(6.0, float(n)).unit) for n in (1, 2)))
+"""
+
+
+def test_two_runs_that_enrich_at_once_both_get_both_winds(block, cache):
+    plain = wind_solver(block, OPTIONS).digest
+    meeting = cache / "meeting"
+    meeting.mkdir()
+    here = str(Path(__file__).parent)
+    runs = [
+        subprocess.Popen(
+            [sys.executable, "-c", ENRICHING, here, str(n), str(meeting)],
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        )
+        for n in (1, 2)
+    ]  # fmt: skip
+    said = [run.communicate(timeout=120) for run in runs]
+    assert [run.returncode for run in runs] == [0, 0], said
+    newest = wind_solver(block, OPTIONS).digest
+    assert newest != plain
+    assert [output.split() for output, _ in said] == [[newest, "True", "True"]] * 2
+    folder = only_folder(cache)
+    assert {path.stem for path in folder.glob("*.npz")} == {plain, newest}
+    assert not list((folder / "waiting").iterdir()) and not list(folder.glob("**/making-*"))

@@ -1,0 +1,40 @@
+"""Functions that worker processes are told to call."""
+
+import os
+import signal
+import time
+from pathlib import Path
+
+from dafw.core.errors import SolverError
+from dafw.core.workers import outcome, spare_cores
+
+
+def squared(number):
+    """Return the square and the process that found it; there is none of thirteen."""
+
+    def square():
+        if number == 13:
+            raise SolverError("no square of 13")
+        return number**2, os.getpid()
+
+    return outcome("squares", square)
+
+
+def killed():
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def killed_once(marker, number):
+    if not Path(marker).exists():
+        Path(marker).touch()
+        killed()
+    return outcome("errands", lambda: number)
+
+
+def slow(seconds):
+    time.sleep(seconds)
+    return outcome("errands", os.getpid)
+
+
+def cores_to_spare():
+    return outcome("errands", spare_cores)

@@ -1,0 +1,92 @@
+"""Worker processes: they do what they are told, are replaced where they are lost, and none is left over."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import closing
+from pathlib import Path
+
+import errands
+import pytest
+
+from dafw.core.errors import ComputationError, SolverError
+from dafw.core.workers import Worker, outcome, share_out, spare_cores
+
+
+@pytest.fixture(autouse=True)
+def found(monkeypatch):
+    monkeypatch.syspath_prepend(str(Path(__file__).parent))
+
+
+def alive(pid):
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def test_tasks_are_shared_out_and_all_come_back():
+    done = dict(share_out(errands.squared, [(k,) for k in range(7)], 3, "squares"))
+    assert {number: value for number, (value, _) in done.items()} == {k: k * k for k in range(7)}
+    processes = {process for _, process in done.values()}
+    assert os.getpid() not in processes and len(processes) <= 3
+    assert not any(map(alive, processes))
+
+
+def test_an_error_is_the_one_line_that_it_is_here():
+    with pytest.raises(SolverError, match=r"^no square of 13$"):
+        list(share_out(errands.squared, [(1,), (13,)], 2, "squares"))
+    with pytest.raises(ComputationError, match=r"^squares raised TypeError: unsupported operand"):
+        list(share_out(errands.squared, [("one",)], 2, "squares"))
+
+
+def test_a_worker_that_is_killed_is_replaced(tmp_path, caplog):
+    done = dict(share_out(errands.killed_once, [(str(tmp_path / "once"), k) for k in range(3)], 2, "errands"))
+    assert done == {k: k for k in range(3)}
+    assert "errands: a worker (process" in caplog.text and "killed by signal 9; another does its work" in caplog.text
+
+
+def test_workers_that_die_again_and_again_end_it():
+    with pytest.raises(ComputationError, match="3 were lost, at most 2 are replaced"):
+        list(share_out(errands.killed, [()], 2, "errands"))
+
+
+def test_no_worker_is_left_where_nobody_wants_the_rest():
+    with closing(share_out(errands.slow, [(0.0,), (600.0,)], 2, "errands")) as tasks:
+        _, process = next(tasks)
+        begun = time.monotonic()
+    assert time.monotonic() - begun < 20.0
+    assert not alive(process)
+
+
+def test_workers_have_no_workers_of_their_own():
+    worker = Worker()
+    worker.ask(errands.cores_to_spare)
+    assert worker.receive().get() == 1
+    worker.end()
+    assert outcome("a test", spare_cores).get() == 1
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
+def test_workers_end_with_the_process_that_wants_them(number, tmp_path):
+    script = tmp_path / "script.py"  # no `if __name__ == "__main__"`
+    script.write_text(
+        f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
+        "import errands; from dafw.core.workers import share_out\n"
+        "print('begun', flush=True)\n"
+        "for _, process in share_out(errands.slow, [(0.0,), (0.0,), (2.0,), (2.0,)], 2, 'errands'):\n"
+        "    print(process, flush=True)\n"
+    )
+    run = subprocess.Popen([sys.executable, script], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert run.stdout.readline() == "begun\n"
+    workers = [int(run.stdout.readline()) for _ in range(2)]
+    run.send_signal(number)
+    output, _ = run.communicate(timeout=30)
+    assert "begun" not in output
+    deadline = time.monotonic() + 20.0
+    while any(map(alive, workers)) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not any(map(alive, workers))
