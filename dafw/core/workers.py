@@ -13,10 +13,13 @@ import pickle
 import signal
 import subprocess
 import sys
+import threading
+import traceback
 from collections.abc import Callable, Generator, Sequence
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection, Pipe, wait
+from queue import SimpleQueue
 from typing import Any
 
 from dafw.core.errors import ComputationError, DafwError
@@ -101,15 +104,29 @@ def serve(descriptor: int) -> None:
     """Call what the main process sends until it closes its end: (function, arguments, whether it waits for them)."""
     # Ctrl-C is for the main process, which ends its workers itself.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    with Connection(descriptor) as connection:
+    connection, messages = Connection(descriptor), SimpleQueue[Any]()
+    threading.Thread(target=_listen, args=(connection, messages), daemon=True).start()
+    while True:
+        function, arguments, awaited = messages.get()
+        done = function(*arguments)
+        sys.stdout.flush()
+        if awaited:
+            with contextlib.suppress(OSError):  # nobody is there any more, which ``_listen`` sees
+                connection.send(done)
+
+
+def _listen(connection: Connection, messages: SimpleQueue[Any]) -> None:
+    """Take messages while others are worked on; end the process in the middle of its work where nobody wants it."""
+    status = 1
+    try:
         while True:
-            try:
-                function, arguments, awaited = connection.recv()
-                done = function(*arguments)
-                if awaited:
-                    connection.send(done)
-            except (EOFError, OSError):
-                return  # nobody is there any more
+            messages.put(connection.recv())
+    except (EOFError, OSError):
+        status = 0
+    except Exception:
+        traceback.print_exc()
+    finally:
+        os._exit(status)
 
 
 class Worker:

@@ -7,6 +7,7 @@ J. Comput. Phys. 143 (1998), doi:10.1006/jcph.1998.5943.
 from __future__ import annotations
 
 import logging
+import sys
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING
@@ -98,6 +99,8 @@ def in_space(space: VelocitySpace, velocities: np.ndarray) -> np.ndarray:
 
 def project(space: VelocitySpace, modes: np.ndarray, parameters: np.ndarray, coefficients: np.ndarray) -> ReducedBasis:
     """Return the basis with modes (2 v, r), orthonormal in a, and coefficients (r, s) of the snapshots."""
+    from tqdm import tqdm
+
     rng = np.random.default_rng(SEED)
     functionals = np.stack([space.riesz(space.noise(rng)) for _ in range(FUNCTIONALS)], axis=1)
     velocities = np.concatenate([space.lifts, modes], axis=1)
@@ -106,7 +109,7 @@ def project(space: VelocitySpace, modes: np.ndarray, parameters: np.ndarray, coe
     tests = np.ascontiguousarray(tested.reshape(space.size, -1).T)
     carried = np.ascontiguousarray(space.by_component(velocities))
     tensor = np.zeros((r + FUNCTIONALS, n, n))
-    for j in range(n):
+    for j in tqdm(range(n), desc="projection of the reduced basis", unit="mode", disable=None, file=sys.stderr):
         convection = space.convection(velocities[:, j])
         for start in range(0, len(carried), ROWS):
             load = (convection[start : start + ROWS] @ carried).reshape(-1, n)

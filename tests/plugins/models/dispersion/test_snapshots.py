@@ -1,6 +1,13 @@
 """The winds of a basis: the same bits however many processes solve them, and what becomes of those without solution."""
 
+import json
 import logging
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -71,3 +78,55 @@ def test_a_wind_that_cannot_be_solved_ends_its_row(mesh, monkeypatch, caplog, co
     assert "no solution for intensity" in caplog.text
     with pytest.raises(WindError, match=r"^reduced basis: none of its 8 winds can be solved"):
         snapshots(WindSolver(mesh, strong), mesh.file)
+
+
+def children(process):
+    """Return the processes that one started and that are still there."""
+    found = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = stat.read_text().rpartition(")")[2].split()
+        except OSError:
+            continue
+        if int(fields[1]) == process and fields[0] != "Z":
+            found.append(int(stat.parent.name))
+    return found
+
+
+def is_there(process):
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+@pytest.mark.skipif(workers.cores() < 2 or not Path("/proc").is_dir(), reason="needs two cores and /proc")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_a_run_that_is_stopped_while_it_makes_its_basis_leaves_no_process(tmp_path, number):
+    mesh = ["model.mesh.wall_size=40", "model.mesh.far_size=60"]
+    long = ["model.wind.solver=reduced", "model.wind.basis.directions=2000", "model.wind.basis.levels=9"]
+    words = ["run", "experiment=enie2d", *mesh, *long]
+    run = subprocess.Popen(
+        [sys.executable, "-m", "dafw.cli", *words],
+        cwd=tmp_path,
+        env={**os.environ, "DAFW_CACHE": str(tmp_path / "cache")},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    deadline = time.monotonic() + 60.0
+    while not (helpers := children(run.pid)) and run.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert helpers
+    time.sleep(1.0)
+    run.send_signal(number)
+    _, error = run.communicate(timeout=60)
+    while any(map(is_there, helpers)) and time.monotonic() < deadline + 60.0:
+        time.sleep(0.1)
+    assert not any(map(is_there, helpers))
+    (summary,) = tmp_path.glob("outputs/*/*/summary.json")
+    assert json.loads(summary.read_text())["status"] == "interrupted"
+    if number != signal.SIGKILL:
+        assert run.returncode == 130
+        assert "interrupted" in error and "Traceback" not in error
+        assert not list((tmp_path / "cache").glob("**/making-*"))
