@@ -101,7 +101,7 @@ def is_there(process):
 
 
 @pytest.mark.skipif(workers.cores() < 2 or not Path("/proc").is_dir(), reason="needs two cores and /proc")
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
 def test_a_run_that_is_stopped_while_it_makes_its_basis_leaves_no_process(tmp_path, number):
     mesh = ["model.mesh.wall_size=40", "model.mesh.far_size=60"]
     long = ["model.wind.solver=reduced", "model.wind.basis.directions=2000", "model.wind.basis.levels=9"]
