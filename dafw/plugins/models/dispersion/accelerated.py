@@ -45,7 +45,7 @@ class AcceleratedWindSolver(WindSolver):
         super().__init__(tagged_mesh, options)
         self._store, self._digest, basis = basis_for(tagged_mesh, options)
         self.flow = ReducedFlow(basis)
-        self._kept: OrderedDict[tuple[int, int], Newton] = OrderedDict()
+        self._kept: OrderedDict[tuple[float, int], Newton] = OrderedDict()
 
     @property
     def digest(self) -> str:
@@ -110,13 +110,15 @@ class AcceleratedWindSolver(WindSolver):
 
     def _factorisation(self, reynolds: float, direction: float, fixed: np.ndarray) -> Newton:
         """Return the factorised Jacobian of the wind on the lattice that is next to R and d."""
-        level = 0
-        if reynolds >= WEAKEST:
-            level = 1 + round(float(np.log(reynolds / WEAKEST) / np.log(RATIO)))
-        lattice_reynolds = WEAKEST * RATIO ** (level - 1) if level else 0.0
+        if self.options.closure == "proportional":  # one R for all
+            lattice_reynolds = reynolds
+        elif reynolds < WEAKEST:
+            lattice_reynolds = 0.0
+        else:
+            lattice_reynolds = WEAKEST * RATIO ** round(float(np.log(reynolds / WEAKEST) / np.log(RATIO)))
         directions = max(1, round(DIRECTIONS * np.sqrt(lattice_reynolds)))
         turn = round(direction / (2.0 * np.pi) * directions) % directions
-        point = (level, turn)
+        point = (lattice_reynolds, turn)
         if point in self._kept:
             self._kept.move_to_end(point)
             return self._kept[point]
