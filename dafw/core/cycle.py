@@ -13,10 +13,9 @@ run can be cut anywhere and continued to the same bits.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from time import perf_counter
+from typing import Self
 
 from dafw.core.ensemble import Diagnostics, Ensemble, Forecast, Memory, Route, Vehicle
 from dafw.core.errors import ComputationError, DafwError
@@ -80,18 +79,23 @@ class _Clock:
     time: float
     seconds: dict[str, float] = field(default_factory=dict)
 
-    @contextmanager
-    def phase(self, name: str, plugin: Plugin) -> Iterator[None]:
-        start = perf_counter()
-        try:
-            yield
-        except DafwError as error:
-            raise type(error)(f"at t = {self.time:g} s, phase '{name}': {error}") from error
-        except Exception as error:
-            raise ComputationError(
-                f"at t = {self.time:g} s, phase '{name}': {plugin.label} raised {type(error).__name__}: {error}"
-            ) from error
-        self.seconds[name] = self.seconds.get(name, 0.0) + perf_counter() - start
+    def phase(self, name: str, plugin: Plugin) -> Self:
+        """Begin a phase: ``with clock.phase(...):``, one after the other."""
+        self._name, self._plugin, self._begun = name, plugin, perf_counter()
+        return self
+
+    def __enter__(self) -> None:
+        return None
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        if error is None:
+            self.seconds[self._name] = self.seconds.get(self._name, 0.0) + perf_counter() - self._begun
+            return
+        place = f"at t = {self.time:g} s, phase '{self._name}'"
+        if isinstance(error, DafwError):
+            raise type(error)(f"{place}: {error}") from error
+        if isinstance(error, Exception):
+            raise ComputationError(f"{place}: {self._plugin.label} raised {type(error).__name__}: {error}") from error
 
 
 def start(parts: Parts, n_members: int, vehicle: Vehicle) -> State:

@@ -28,10 +28,15 @@ class Domain:
     landmarks: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     @cached_property
-    def _tree(self) -> Any:
-        from shapely import Polygon, STRtree
+    def _polygons(self) -> Any:
+        from shapely import Polygon
 
-        return STRtree([Polygon(ring) for ring in self.obstacles])
+        return np.array([Polygon(ring) for ring in self.obstacles], dtype=object)
+
+    @cached_property
+    def _boxes(self) -> Array:
+        """Of each obstacle the numbers x_min, y_min, -x_max, -y_max, (K, 4)."""
+        return np.array([[*ring.min(axis=0), *-ring.max(axis=0)] for ring in self.obstacles]).reshape(-1, 4)
 
     def contains(self, point: Array) -> bool:
         """Say whether a point (2,) lies inside the rectangle, its rim included."""
@@ -40,9 +45,16 @@ class Domain:
 
     def is_free(self, start: Array, end: Array) -> bool:
         """Say whether the segment from ``start`` (2,) to ``end`` (2,) stays inside and touches no obstacle."""
-        from shapely import LineString, Point
-
         if not (self.contains(start) and self.contains(end)):
             return False
-        flown = LineString([start, end]) if np.any(start != end) else Point(start)
-        return len(self._tree.query(flown, predicate="intersects")) == 0
+        (x, y), (x_end, y_end) = start.tolist(), end.tolist()
+        # Most legs are far from everything, and shapely need not be asked.
+        near = (self._boxes <= [max(x, x_end), max(y, y_end), -min(x, x_end), -min(y, y_end)]).all(axis=1)
+        return not (near.any() and self._touches(near, start, end))
+
+    def _touches(self, near: NDArray[np.bool_], start: Array, end: Array) -> bool:
+        """Say whether the segment touches one of the obstacles that are ``near`` (K,)."""
+        import shapely
+
+        flown = shapely.linestrings([start, end]) if (start != end).any() else shapely.points(start)
+        return bool(shapely.intersects(self._polygons[near], flown).any())

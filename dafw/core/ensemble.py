@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from dafw.core.domain import Domain
-from dafw.core.space import Array, StateSpace, root_variance
+from dafw.core.space import Array, StateSpace, sample_variance
 
 type Memory = Mapping[str, Any]
 
@@ -72,9 +72,14 @@ class Ensemble:
         return freeze(self.space.difference(self.members, self.mean))
 
     @cached_property
+    def variance(self) -> Array:
+        """Sample variance (n,); NaN for a single member."""
+        return freeze(sample_variance(self.anomalies) if len(self) > 1 else np.full(self.space.size, np.nan))
+
+    @cached_property
     def spread(self) -> Array:
         """Sample standard deviation (n,); NaN for a single member."""
-        return freeze(root_variance(self.anomalies) if len(self) > 1 else np.full(self.space.size, np.nan))
+        return freeze(np.sqrt(self.variance))
 
 
 @dataclass(frozen=True, eq=False)

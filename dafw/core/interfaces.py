@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from itertools import pairwise
+from math import dist
 from types import MappingProxyType
 from typing import Any, ClassVar
 
@@ -230,7 +231,7 @@ class Policy(Plugin):
             self.checked(path, path.shape, f"the path of vehicle {number}")
             if len(path) == 0 or not np.array_equal(path[0], position):
                 raise ContractError(f"{self.label}: the path of vehicle {number} does not begin at {position.tolist()}")
-            flown = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+            flown = sum(dist(*leg) for leg in pairwise(path))
             if flown > vehicle.reach * (1.0 + 1e-9):
                 raise ContractError(
                     f"{self.label}: vehicle {number} would fly {flown:.6g} m, it can fly {vehicle.reach:.6g} m"

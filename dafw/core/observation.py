@@ -36,7 +36,7 @@ class ObservationOperator:
             if len(shape) not in (1, 2) or any(length != self.size for length in shape):
                 raise ConfigurationError(f"the {label} of {self.size} readings has the shape {shape}")
             variances = matrix if matrix.ndim == 1 else np.diag(matrix)
-            if not np.all(variances > 0.0):
+            if not (variances > 0.0).all():
                 raise ConfigurationError(f"the {label} has a variance that is not above zero: {variances.min()}")
         if self.coordinates is not None and (self.coordinates.ndim != 2 or len(self.coordinates) != self.size):
             raise ConfigurationError(

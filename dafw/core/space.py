@@ -105,8 +105,8 @@ class StateSpace:
         if start == 0:
             raise ConfigurationError("a state space needs at least one variable")
         self.size = start
-        self._nonnegative = self._indices(NONNEGATIVE)
-        self._angles = self._indices(ANGLE)
+        self._nonnegative = [self._slices[v.name] for v in self.variables if v.kind is NONNEGATIVE]
+        self._angles = [self._slices[v.name] for v in self.variables if v.kind is ANGLE]
 
     def __repr__(self) -> str:
         listed = ", ".join(f"{v.name} ({v.size}, {v.kind.value})" for v in self.variables)
@@ -122,10 +122,6 @@ class StateSpace:
             )
             for mine, theirs in zip(self.variables, other.variables, strict=True)
         )
-
-    def _indices(self, kind: Kind) -> IntArray:
-        chosen = [np.arange(self.size)[self._slices[v.name]] for v in self.variables if v.kind is kind]
-        return np.concatenate(chosen) if chosen else np.empty(0, dtype=np.int64)
 
     def __getitem__(self, name: str) -> Variable:
         """Return the variable of that name; ConfigurationError lists the names there are."""
@@ -156,37 +152,37 @@ class StateSpace:
         """Return the mean (n,) over the members (N, n); circular for angles."""
         # What members.mean(axis=0) does, at half its overhead.
         mean: Array = np.add.reduce(members, axis=0) / len(members)
-        if self._angles.size:
-            angles = members[:, self._angles]
-            mean[self._angles] = _modulo(np.arctan2(np.sin(angles).mean(axis=0), np.cos(angles).mean(axis=0)))
+        for part in self._angles:
+            angles = members[:, part]
+            mean[part] = _modulo(np.arctan2(np.sin(angles).mean(axis=0), np.cos(angles).mean(axis=0)))
         return mean
 
     def difference(self, a: Array, b: Array) -> Array:
         """Return a - b (..., n); angles wrapped to [-pi, pi)."""
         difference: Array = np.subtract(a, b)
-        if self._angles.size:
-            difference[..., self._angles] = _modulo(difference[..., self._angles] + np.pi) - np.pi
+        for part in self._angles:
+            difference[..., part] = _modulo(difference[..., part] + np.pi) - np.pi
         return difference
 
     def retract(self, x: Array, dx: Array) -> Array:
         """Return x + dx (..., n), brought back into the set: nonnegative values clamped, angles mod 2 pi."""
         moved: Array = np.add(x, dx)
-        if self._nonnegative.size:
-            moved[..., self._nonnegative] = np.maximum(moved[..., self._nonnegative], 0.0)
-        if self._angles.size:
-            moved[..., self._angles] = _modulo(moved[..., self._angles])
+        for part in self._nonnegative:
+            np.maximum(moved[..., part], 0.0, out=moved[..., part])
+        for part in self._angles:
+            moved[..., part] = _modulo(moved[..., part])
         return moved
 
     def spread(self, members: Array) -> Array:
         """Return the sample standard deviation (n,) of the members (N, n) about ``mean``; NaN for one member."""
         if len(members) < 2:
             return np.full(self.size, np.nan)
-        return root_variance(self.difference(members, self.mean(members)))
+        return np.asarray(np.sqrt(sample_variance(self.difference(members, self.mean(members)))))
 
 
-def root_variance(anomalies: Array) -> Array:
-    """Return the sample standard deviation (n,) of members whose difference from their mean is ``anomalies`` (N, n)."""
-    return np.asarray(np.sqrt(np.einsum("ij,ij->j", anomalies, anomalies) / (len(anomalies) - 1)))
+def sample_variance(anomalies: Array) -> Array:
+    """Return the sample variance (n,) of members whose difference from their mean is ``anomalies`` (N, n)."""
+    return np.asarray(np.einsum("ij,ij->j", anomalies, anomalies) / (len(anomalies) - 1))
 
 
 def _modulo(angle: Array) -> Array:

@@ -23,12 +23,16 @@ def along(path: Array, n_samples: int) -> Array:
 
     A vehicle that hovers gives the one point where it is.
     """
-    lengths = np.linalg.norm(np.diff(path, axis=0), axis=1)
-    if lengths.sum() == 0.0:
+    legs = path[1:] - path[:-1]
+    travelled = np.zeros(len(path))
+    np.sqrt((legs * legs).sum(axis=1)).cumsum(out=travelled[1:])
+    if travelled[-1] == 0.0:
         return path[:1]
-    travelled = np.concatenate([[0.0], np.cumsum(lengths)])
     stations = np.arange(1, n_samples + 1) / n_samples * travelled[-1]
-    return np.stack([np.interp(stations, travelled, path[:, axis]) for axis in range(2)], axis=1)
+    points = np.empty((n_samples, 2))
+    for axis in range(2):
+        points[:, axis] = np.interp(stations, travelled, path[:, axis])
+    return points
 
 
 @dataclass

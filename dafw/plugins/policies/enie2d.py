@@ -28,22 +28,22 @@ TWO_PI = 2.0 * np.pi
 
 
 def sector_scores(
-    members: Array, mean: Array, coordinates: Array, position: Array, n_sectors: int, theta: float
+    variance: Array, mean: Array, coordinates: Array, position: Array, n_sectors: int, theta: float
 ) -> Array:
     """Return the score (Q,) of each sector around ``position`` (2,); minus infinity for a sector without nodes.
 
-    ``members`` (N, M) and ``mean`` (M,) are the concentration at the nodes, ``coordinates`` (M, 2) in metres.
+    ``variance`` (M,) and ``mean`` (M,) are those of the concentration at the nodes, ``coordinates`` (M, 2) in metres.
+    tr(A_q A_q^T) / (N - 1) is the sum of the variances.
     """
-    offset = coordinates - position
-    angle = np.mod(np.arctan2(offset[:, 1], offset[:, 0]), TWO_PI)
+    angle = np.arctan2(coordinates[:, 1] - position[1], coordinates[:, 0] - position[0])
+    angle = np.where(angle < 0.0, angle + TWO_PI, angle)
     edges = np.arange(1, n_sectors) * TWO_PI / n_sectors
-    sector = np.searchsorted(edges, angle, side="right")
-    variance = ((members - mean) ** 2).sum(axis=0) / max(len(members) - 1, 1)
+    sector = edges.searchsorted(angle, side="right")
     nodes = np.bincount(sector, minlength=n_sectors)
     total_variance = np.bincount(sector, variance, minlength=n_sectors)
     total_mean = np.bincount(sector, mean, minlength=n_sectors)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.where(nodes > 0, (np.sqrt(total_variance) + theta * total_mean) / nodes, -np.inf)
+    scores = np.full(n_sectors, -np.inf)
+    return np.divide(np.sqrt(total_variance) + theta * total_mean, nodes, out=scores, where=nodes > 0)
 
 
 @dataclass
@@ -85,13 +85,13 @@ class EnIE2D(Policy):
         """Return one straight leg for each vehicle, decided by itself."""
         coordinates = self._coordinates(belief.space)
         part = belief.space.slice(self.variable)
+        mean = belief.mean[part]
+        variance = belief.variance[part] if len(belief) > 1 else np.zeros_like(mean)
         theta = self.weight(belief.time)
         scores = np.empty((len(vehicle.positions), self.sectors))
         paths, notes = [], []
         for number, position in enumerate(vehicle.positions):
-            scores[number] = sector_scores(
-                belief.members[:, part], belief.mean[part], coordinates, position, self.sectors, theta
-            )
+            scores[number] = sector_scores(variance, mean, coordinates, position, self.sectors, theta)
             path = self._leg(position, int(np.argmax(scores[number])), vehicle)
             if len(path) == 1:
                 notes.append(f"vehicle {number} hovers at {position.round(1).tolist()}: every way is blocked")

@@ -42,7 +42,7 @@ def belief_of(members, nodes, time=0.0):
 def test_scores_agree_with_the_paper(theta, n_sectors):
     for position in ([0.0, 0.0], [20.0, -30.0], NODES[3]):
         position = np.array(position)
-        scores = sector_scores(MEMBERS, MEMBERS.mean(axis=0), NODES, position, n_sectors, theta)
+        scores = sector_scores(MEMBERS.var(axis=0, ddof=1), MEMBERS.mean(axis=0), NODES, position, n_sectors, theta)
         np.testing.assert_allclose(scores, paper_scores(MEMBERS, NODES, position, n_sectors, theta), rtol=1e-10)
 
 

@@ -1,0 +1,216 @@
+"""The netCDF file behind ``run.nc``: its dimensions and variables, and how rows of them are stored.
+
+Nothing is deflated: for fields with noise in them that took more than ten times as long as writing them, and saved an
+eighth of the file (docs/cluster.md).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dafw.core.cycle import PHASES, Parts
+from dafw.core.ensemble import Diagnostic
+from dafw.core.errors import ContractError, RunError
+from dafw.core.space import Array, Kind, StateSpace, Variable
+from dafw.core.ugrid import write_domain
+
+CHUNK_NUMBERS = 4096
+KIND_NOTES = {Kind.FIELD: "", Kind.NONNEGATIVE: "nonnegative", Kind.ANGLE: "angle in [0, 2 pi)"}
+STAGES = {
+    "truth": "truth",
+    "free": "free run",
+    "forecast_mean": "mean of the forecast",
+    "forecast_spread": "standard deviation of the forecast",
+    "mean": "mean of the analysis",
+    "spread": "standard deviation of the analysis",
+}
+
+
+class RunFile:
+    """A new file with all variables of a run, but for diagnostics: these are defined when they are first met.
+
+    ``whole`` names the state variables of which every member is kept. Raises RunError where the file cannot be made.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        parts: Parts,
+        *,
+        n_members: int,
+        n_vehicles: int,
+        whole: Sequence[str],
+        section: Array,
+        attributes: Mapping[str, str | int],
+    ) -> None:
+        import netCDF4
+
+        try:
+            self._file = netCDF4.Dataset(path, "w", clobber=False, format="NETCDF4")
+        except OSError as error:
+            raise RunError(f"{path}: cannot be written, or holds a run already ({error})") from error
+        # Asking the file takes longer than remembering.
+        self._fills: dict[str, Any] = {}
+        self._shapes: dict[str, tuple[int, ...]] = {}
+        self._written = 0
+        space, domain = parts.model.space, parts.model.domain
+        scored = space.variables[0].name
+        self._file.setncatts({"Conventions": "CF-1.11 UGRID-1.0", "scored_variable": scored, **attributes})
+        self._places: dict[str, Array | None] = {}
+        self._define_dimensions(n_members, n_vehicles)
+        self._define_states(space, whole, meshed=domain is not None and domain.triangles is not None)
+        self._define_cycle_variables(scored, space.variables[0].units)
+        if domain is not None:
+            write_domain(self._file, domain)
+        if len(section):
+            self._static("section_x", ("section_point",), section[:, 0], "m", "easting of the section's corners")
+            self._static("section_y", ("section_point",), section[:, 1], "m", "northing of the section's corners")
+
+    def _define_dimensions(self, n_members: int, n_vehicles: int) -> None:
+        self._file.createDimension("time", None)
+        self._file.createDimension("observation", None)
+        self._file.createDimension("member", n_members)
+        self._file.createDimension("vehicle", n_vehicles)
+        self._file.createDimension("phase", len(PHASES))
+        phases = self._file.createVariable("phase", str, ("phase",))
+        phases[:] = np.array(PHASES, dtype=object)
+        phases.long_name = "phase of a cycle"
+
+    def _static(self, name: str, dims: tuple[str, ...], values: Any, units: str, long_name: str) -> Any:
+        """Write a variable that does not change with time, its dimensions made where they are missing."""
+        values = np.asarray(values)
+        for dim, length in zip(dims, values.shape, strict=True):
+            if dim not in self._file.dimensions:
+                self._file.createDimension(dim, length)
+        variable = self._file.createVariable(name, values.dtype, dims)
+        variable.setncatts({"units": units, "long_name": long_name})
+        variable[:] = values
+        return variable
+
+    def _define(
+        self, name: str, dims: tuple[str, ...], dtype: str, units: str, long_name: str, **attributes: str
+    ) -> None:
+        """Define a variable over time."""
+        sizes = [1 if self._file.dimensions[dim].isunlimited() else len(self._file.dimensions[dim]) for dim in dims]
+        fill = np.nan if dtype[0] == "f" else -1
+        # Short rows share a chunk.
+        chunks = [max(1, min(1024, CHUNK_NUMBERS // max(1, math.prod(sizes[1:])))), *sizes[1:]]
+        if "observation" in dims:
+            chunks = [64, 16]
+        variable = self._file.createVariable(
+            name, dtype, dims, fill_value=fill, chunksizes=chunks if 0 not in chunks else None
+        )
+        variable.setncatts({"units": units, "long_name": long_name, **attributes})
+        # What is written has the variable's own type, and nothing to be masked.
+        variable.set_auto_maskandscale(False)
+        self._fills[name], self._shapes[name] = variable._FillValue, tuple(sizes[1:])
+
+    def _dims(self, variable: Variable) -> tuple[str, ...]:
+        """Return the dimensions of a state variable besides time; the first with several numbers owns ``node``."""
+        if variable.size == 1:
+            return ()
+        for candidate in ("node", f"node_{variable.name}"):
+            if candidate not in self._file.dimensions:
+                self._file.createDimension(candidate, variable.size)
+                self._places[candidate] = variable.coordinates
+                if variable.coordinates is not None:
+                    self._write_coordinates(candidate, variable.coordinates)
+            places, fits = self._places[candidate], len(self._file.dimensions[candidate]) == variable.size
+            if fits and (variable.coordinates is None or _same(places, variable.coordinates)):
+                return (candidate,)
+        raise ContractError(f"no dimension fits the variable '{variable.name}'")
+
+    def _write_coordinates(self, dim: str, coordinates: Array) -> None:
+        for axis, column in zip("xyz", coordinates.T, strict=False):
+            self._static(f"{dim}_{axis}", (dim,), column, "m", f"{axis} coordinate of the nodes")
+
+    def _define_states(self, space: StateSpace, whole: Sequence[str], meshed: bool) -> None:
+        for variable in space.variables:
+            dims = self._dims(variable)
+            title = variable.long_name or variable.name.replace("_", " ")
+            attributes = {"comment": KIND_NOTES[variable.kind]} if KIND_NOTES[variable.kind] else {}
+            if dims and variable.coordinates is not None:
+                axes = "xyz"[: variable.coordinates.shape[1]]
+                attributes["coordinates"] = " ".join(f"{dims[0]}_{axis}" for axis in axes)
+            if dims == ("node",) and meshed:
+                attributes |= {"mesh": "mesh2d", "location": "node"}
+            dtype = "f4" if dims else "f8"
+            for stage, label in STAGES.items():
+                name, long_name = f"{variable.name}_{stage}", f"{title}, {label}"
+                self._define(name, ("time", *dims), dtype, variable.units, long_name, **attributes)
+            if variable.name in whole:
+                name, long_name = f"{variable.name}_members", f"{title}, every member of the analysis"
+                self._define(name, ("time", "member", *dims), dtype, variable.units, long_name, **attributes)
+
+    def _define_cycle_variables(self, scored: str, units: str) -> None:
+        self._define("time", ("time",), "f8", "s", "time since the start", axis="T")
+        for name, label in (("err", "belief"), ("err_forecast", "forecast"), ("err_free", "free run")):
+            long_name = f"relative l2 difference of the {label}'s {scored} from the truth"
+            self._define(name, ("time",), "f8", "percent", long_name)
+        self._define("rmse", ("time",), "f8", units, f"root mean square of the belief's {scored} less the truth's")
+        self._define("spread", ("time",), "f8", units, f"root mean square of the belief's spread of {scored}")
+        for axis in "xy":
+            self._define(f"vehicle_{axis}", ("time", "vehicle"), "f8", "m", f"{axis} coordinate of the vehicles")
+            name, long_name = f"observation_{axis}", f"{axis} coordinate of the readings"
+            self._define(name, ("time", "observation"), "f8", "m", long_name)
+        for name, dtype, long_name in (
+            ("observation_value", "f8", "readings"),
+            ("observation_forecast_mean", "f8", "readings that the belief expected"),
+            ("observation_variance", "f8", "error variance that the filter is told"),
+            ("observation_node", "i4", "node that was read, -1 for none"),
+        ):
+            self._define(name, ("time", "observation"), dtype, "1", long_name)
+        self._define("phase_seconds", ("time", "phase"), "f8", "s", "wall time of the phases of a cycle")
+
+    def require(self, name: str, diagnostic: Diagnostic, values: Any) -> None:
+        """Define a diagnostic's variable where it is new; raises ContractError where its shape has changed."""
+        if name not in self._shapes:
+            for dim, length in zip(diagnostic.dims, values.shape, strict=True):
+                if dim not in self._file.dimensions:
+                    self._file.createDimension(dim, length)
+            dtype = {"f": "f8", "i": "i4", "u": "i4", "b": "i1"}[values.dtype.kind]
+            title = diagnostic.long_name or name.replace("_", " ")
+            self._define(name, ("time", *diagnostic.dims), dtype, diagnostic.units, title)
+        if values.shape != self._shapes[name]:
+            raise ContractError(f"diagnostic '{name}' must have the shape {self._shapes[name]}, got {values.shape}")
+
+    def write(self, rows: Sequence[Mapping[str, Any]]) -> None:
+        """Add rows, each the values of variables by name, and synchronise; what a row leaves out stays missing."""
+        first, last = self._written, self._written + len(rows)
+        for name in dict.fromkeys(name for row in rows for name in row):
+            fill = self._fills[name]
+            block = _block([np.asarray(row.get(name, fill)) for row in rows], fill)
+            if block.size:
+                self._file.variables[name][(slice(first, last), *map(slice, block.shape[1:]))] = block
+        self._written = last
+        self._file.sync()
+
+    @property
+    def is_open(self) -> bool:
+        """Whether rows can still be added."""
+        return bool(self._file.isopen())
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+
+def _block(rows: list[Any], fill: Any) -> Any:
+    """Return rows of different lengths as one array, padded with ``fill``; a row that is missing is one ``fill``."""
+    if len({row.shape for row in rows}) == 1:
+        return np.array(rows, dtype=fill.dtype)
+    deepest = max(row.ndim for row in rows)
+    lengths = np.max([row.shape for row in rows if row.ndim == deepest], axis=0)
+    block: Any = np.full((len(rows), *lengths), fill)
+    for number, row in enumerate(rows):
+        block[(number, *map(slice, row.shape))] = row
+    return block
+
+
+def _same(a: Array | None, b: Array) -> bool:
+    return a is not None and np.array_equal(a, b)
