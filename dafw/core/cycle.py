@@ -13,7 +13,7 @@ run can be cut anywhere and continued to the same bits.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from time import perf_counter
 from typing import Self
 
@@ -21,8 +21,9 @@ from dafw.core.ensemble import Diagnostics, Ensemble, Forecast, Memory, Route, V
 from dafw.core.errors import ComputationError, DafwError
 from dafw.core.executors import Executor
 from dafw.core.executors.serial import Serial
-from dafw.core.interfaces import Filter, Model, Observer, Plugin, Policy
+from dafw.core.interfaces import Filter, Model, Observer, Policy
 from dafw.core.observation import Observation, colour
+from dafw.core.plugin import Plugin
 from dafw.core.rng import Streams
 from dafw.core.space import Array
 
@@ -127,12 +128,14 @@ def advance(parts: Parts, state: State) -> Cycle:
     streams, cycle = parts.streams, state.cycle
     belief, truth, free = state.belief, state.truth, state.free
     clock = _Clock(belief.ensemble.time)
+    roles = ("policy", "observation noise", "filter")
+    policy_rng, noise_rng, filter_rng = (streams.generator(role, cycle) for role in roles)
 
     with clock.phase("decide", parts.policy):
-        generator = streams.generator("policy", cycle)
-        route = parts.policy.route(belief.ensemble, state.vehicle, state.policy_memory, generator)
+        route = parts.policy.route(belief.ensemble, state.vehicle, state.policy_memory, policy_rng)
     with clock.phase("observe", parts.observer):
         operator = parts.observer.look(parts.model.space, route, belief.ensemble.time)
+        noise = colour(operator.noise, noise_rng.standard_normal(operator.size))
     with clock.phase("forecast", parts.model):
         errors, members, now = streams.members("model error", cycle), belief.ensemble.members, belief.ensemble.time
         stepped = parts.executor.submit(parts.model, members, belief.memory, now, errors)
@@ -145,13 +148,11 @@ def advance(parts: Parts, state: State) -> Cycle:
     with clock.phase("forecast", parts.model):
         forecast = parts.model.forecast(belief.ensemble, belief.memory, errors, stepped)
     with clock.phase("observe", parts.observer):
-        noise = colour(operator.noise, streams.generator("observation noise", cycle).standard_normal(operator.size))
         readings = parts.observer.read(operator, truth.ensemble)[0] + noise
         observation = Observation(readings, operator, forecast.ensemble.time)
         predicted = parts.observer.read(operator, forecast.ensemble)
     with clock.phase("analyse", parts.filter):
-        generator = streams.generator("filter", cycle)
-        analysis = parts.filter.update(forecast.ensemble, predicted, observation, state.filter_memory, generator)
+        analysis = parts.filter.update(forecast.ensemble, predicted, observation, state.filter_memory, filter_rng)
 
     posterior = Ensemble(analysis.members, forecast.ensemble.space, forecast.ensemble.time)
     after = State(
@@ -159,7 +160,7 @@ def advance(parts: Parts, state: State) -> Cycle:
         belief=Forecast(posterior, forecast.memory),
         truth=Forecast(truth.ensemble, truth.memory),
         free=free,
-        vehicle=replace(state.vehicle, positions=route.ends),
+        vehicle=state.vehicle.moved(route.ends),
         policy_memory=route.memory,
         filter_memory=analysis.memory,
     )

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from dafw.core.domain import Domain
-from dafw.core.space import Array, StateSpace, sample_variance
+from dafw.core.space import Array, StateSpace
 
 type Memory = Mapping[str, Any]
 
@@ -74,7 +74,9 @@ class Ensemble:
     @cached_property
     def variance(self) -> Array:
         """Sample variance (n,); NaN for a single member."""
-        return freeze(sample_variance(self.anomalies) if len(self) > 1 else np.full(self.space.size, np.nan))
+        if len(self) < 2:
+            return freeze(np.full(self.space.size, np.nan))
+        return freeze(np.einsum("ij,ij->j", self.anomalies, self.anomalies) / (len(self) - 1))
 
     @cached_property
     def spread(self) -> Array:
@@ -102,6 +104,10 @@ class Vehicle:
     def reach(self) -> float:
         """How far a vehicle gets before the next decision, in metres."""
         return self.speed * self.dt
+
+    def moved(self, positions: Array) -> Vehicle:
+        """Return the same vehicles at other ``positions`` (V, 2)."""
+        return Vehicle(positions, self.speed, self.dt, self.airspace)
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,8 +19,9 @@ import pluggy
 from dafw.core import hookspecs
 from dafw.core.errors import DafwError, OptionError, PluginError
 from dafw.core.hookspecs import PluginSpec
-from dafw.core.interfaces import Filter, Model, Observer, Plugin, Policy
+from dafw.core.interfaces import Filter, Model, Observer, Policy
 from dafw.core.options import Described, build, describe, schema
+from dafw.core.plugin import Plugin
 
 KINDS: dict[str, type[Plugin]] = {"model": Model, "observer": Observer, "policy": Policy, "filter": Filter}
 GROUP = "dafw"

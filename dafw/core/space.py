@@ -173,17 +173,6 @@ class StateSpace:
             moved[..., part] = _modulo(moved[..., part])
         return moved
 
-    def spread(self, members: Array) -> Array:
-        """Return the sample standard deviation (n,) of the members (N, n) about ``mean``; NaN for one member."""
-        if len(members) < 2:
-            return np.full(self.size, np.nan)
-        return np.asarray(np.sqrt(sample_variance(self.difference(members, self.mean(members)))))
-
-
-def sample_variance(anomalies: Array) -> Array:
-    """Return the sample variance (n,) of members whose difference from their mean is ``anomalies`` (N, n)."""
-    return np.asarray(np.einsum("ij,ij->j", anomalies, anomalies) / (len(anomalies) - 1))
-
 
 def _modulo(angle: Array) -> Array:
     """Return the angle in [0, 2 pi): ``np.mod`` alone rounds tiny negative numbers up to 2 pi itself."""

@@ -12,7 +12,7 @@ from time import perf_counter
 from typing import Any
 
 from dafw.core.errors import ComputationError
-from dafw.core.interfaces import Plugin
+from dafw.core.plugin import Plugin
 
 type Factory = Callable[[], Any]
 

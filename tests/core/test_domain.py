@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from shapely import LineString, Polygon, box
 
 from dafw import Domain
 
@@ -30,3 +31,18 @@ def test_a_leg_is_free_when_it_stays_inside_and_touches_nothing(start, end, free
 
 def test_without_obstacles_only_the_rim_counts():
     assert Domain((0.0, 0.0, 1.0, 1.0)).is_free(np.array([0.1, 0.1]), np.array([0.9, 0.9]))
+
+
+def test_it_agrees_with_shapely_about_legs_near_and_far():
+    rng = np.random.default_rng(3)
+    corners = rng.uniform(0.0, 100.0, (12, 2))
+    rings = tuple(corner + rng.uniform(-9.0, 9.0, (3, 2)) for corner in corners)
+    domain, ground = Domain((0.0, 0.0, 100.0, 100.0), rings), box(0.0, 0.0, 100.0, 100.0)
+    polygons = [Polygon(ring) for ring in rings]
+    answers = []
+    for start in rng.uniform(0.0, 100.0, (200, 2)):
+        end = start + rng.uniform(-12.0, 12.0, 2)
+        leg = LineString([start, end])
+        answers.append(domain.is_free(start, end))
+        assert answers[-1] is (ground.covers(leg) and not any(leg.intersects(polygon) for polygon in polygons))
+    assert any(answers) and not all(answers)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dafw import ANGLE, FIELD, NONNEGATIVE, ConfigurationError, StateSpace, Variable
+from dafw import ANGLE, FIELD, NONNEGATIVE, ConfigurationError, Ensemble, StateSpace, Variable
 
 SPACE = StateSpace([Variable("height", 3, FIELD), Variable("gas", 2, NONNEGATIVE), Variable("direction", 1, ANGLE)])
 
@@ -54,10 +54,18 @@ def test_nonnegative_values_are_clamped_and_fields_are_not():
     np.testing.assert_array_equal(moved[:5], [-1, -1, -1, 0, 0])
 
 
+def test_every_variable_is_brought_into_its_own_set():
+    space = StateSpace([Variable("gas", 2, NONNEGATIVE), Variable("turn", 2, ANGLE), Variable("rate", 1, NONNEGATIVE)])
+    moved = space.retract(np.zeros((3, 5)), np.array([-1.0, 1.0, -1.0, 1.0, -1.0]))
+    np.testing.assert_array_equal(moved, np.tile([0.0, 1.0, 2 * np.pi - 1.0, 1.0, 0.0], (3, 1)))
+
+
 def test_spread_is_the_sample_standard_deviation():
     members = random_members(7)
-    np.testing.assert_allclose(SPACE.spread(members)[:5], members[:, :5].std(axis=0, ddof=1))
-    assert np.isnan(SPACE.spread(members[:1])).all()
+    belief, alone = Ensemble(members, SPACE), Ensemble(members[:1], SPACE)
+    np.testing.assert_allclose(belief.spread[:5], members[:, :5].std(axis=0, ddof=1))
+    np.testing.assert_allclose(belief.variance[:5], members[:, :5].var(axis=0, ddof=1))
+    assert np.isnan(alone.spread).all() and np.isnan(alone.variance).all()
 
 
 def test_pack_and_unpack_are_inverse():

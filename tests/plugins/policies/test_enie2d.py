@@ -48,9 +48,14 @@ def test_scores_agree_with_the_paper(theta, n_sectors):
 
 def test_nodes_on_the_edge_of_a_sector_belong_to_the_next_one():
     nodes = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
-    members = np.array([[1.0, 2.0, 3.0, 4.0]] * 2)
-    scores = sector_scores(members, members[0], nodes, np.zeros(2), 4, 1.0)
+    scores = sector_scores(np.zeros(4), np.array([1.0, 2.0, 3.0, 4.0]), nodes, np.zeros(2), 4, 1.0)
     np.testing.assert_array_equal(scores, [1.0, 2.0, 3.0, 4.0])
+
+
+def test_a_single_member_is_certain():
+    nodes = 30.0 * np.array([[1.0, 1.0], [-1.0, 1.0]])
+    route = EnIE2D(sectors=4, theta=0.5).decide(belief_of([[1.0, 2.0]], nodes), Vehicle(np.zeros((1, 2)), 10.0), RNG)
+    np.testing.assert_array_equal(route.diagnostics["sector_score"].values, [[0.5, 1.0, -np.inf, -np.inf]])
 
 
 def test_an_empty_sector_is_never_chosen():

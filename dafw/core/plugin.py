@@ -1,0 +1,59 @@
+"""What the four kinds of plugins share: their name in messages, and the checks of what they return."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any, ClassVar
+
+import numpy as np
+
+from dafw.core.ensemble import Diagnostic, Diagnostics
+from dafw.core.errors import ContractError
+from dafw.core.space import Array
+
+
+class Plugin:
+    """What all four kinds share: their kind, and the name under which they were registered.
+
+    ``expected_failures`` declares, by name and with a reason, the checks of ``dafw.testing`` that a plugin does not
+    mean to pass; docs/conformance.md lists the checks.
+    """
+
+    kind: ClassVar[str]
+    expected_failures: ClassVar[Mapping[str, str]] = MappingProxyType({})
+    name: str = ""
+
+    @classmethod
+    def check_options(cls) -> Mapping[str, Any]:
+        """Return the options under which ``dafw check`` makes the plugin: something small and quick."""
+        return {}
+
+    @property
+    def label(self) -> str:
+        """The plugin as messages name it: ``filter 'etkf'``."""
+        return f"{self.kind} '{self.name or type(self).__name__}'"
+
+    def checked(self, array: Any, shape: tuple[int, ...], what: str) -> Array:
+        """Return ``array`` as float64 of ``shape`` and finite, or raise ContractError with the plugin's name."""
+        values = np.asarray(array)
+        if values.dtype.kind not in "fiu":
+            raise ContractError(f"{self.label}: {what} must be real numbers, got the type {values.dtype}")
+        if values.shape != shape:
+            raise ContractError(f"{self.label}: {what} must have the shape {shape}, got {values.shape}")
+        if not np.isfinite(values).all():
+            place = tuple(int(i) for i in np.argwhere(~np.isfinite(values))[0])
+            raise ContractError(f"{self.label}: {what} holds {values[place]} at {place}")
+        return values.astype(np.float64, copy=False)
+
+    def checked_diagnostics(self, diagnostics: Diagnostics) -> None:
+        """Raise ContractError where a diagnostic is not made of real numbers with a name for every axis."""
+        for name, diagnostic in diagnostics.items():
+            if not isinstance(diagnostic, Diagnostic):
+                raise ContractError(f"{self.label}: '{name}' must be a Diagnostic, got {type(diagnostic).__name__}")
+            values = np.asarray(diagnostic.values)
+            if values.dtype.kind not in "fiub" or values.ndim != len(diagnostic.dims):
+                raise ContractError(
+                    f"{self.label}: diagnostic '{name}' must hold numbers with one of its dims {diagnostic.dims} for "
+                    f"each axis, got the type {values.dtype} and the shape {values.shape}"
+                )
