@@ -11,7 +11,7 @@ name ends in ``_with_memory``; one that does not never hears of it. Random numbe
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from itertools import pairwise
+from itertools import pairwise, starmap
 from math import dist
 from typing import Any, ClassVar
 
@@ -185,7 +185,7 @@ class Policy(Plugin):
             self.checked(path, path.shape, f"the path of vehicle {number}")
             if len(path) == 0 or path[0].tolist() != position.tolist():
                 raise ContractError(f"{self.label}: the path of vehicle {number} does not begin at {position.tolist()}")
-            flown = sum(dist(*leg) for leg in pairwise(path.tolist()))
+            flown = sum(starmap(dist, pairwise(path.tolist())))
             if flown > vehicle.reach * (1.0 + 1e-9):
                 raise ContractError(
                     f"{self.label}: vehicle {number} would fly {flown:.6g} m, it can fly {vehicle.reach:.6g} m"

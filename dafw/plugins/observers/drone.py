@@ -7,6 +7,8 @@ node nearest to it. Two samples a step give the one or two nodes a second of Gio
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import accumulate, pairwise, starmap
+from math import dist
 
 import numpy as np
 
@@ -23,9 +25,8 @@ def along(path: Array, n_samples: int) -> Array:
 
     A vehicle that hovers gives the one point where it is.
     """
-    legs = path[1:] - path[:-1]
-    travelled = np.zeros(len(path))
-    np.sqrt((legs * legs).sum(axis=1)).cumsum(out=travelled[1:])
+    # A handful of points: plain numbers are quicker than arrays of them.
+    travelled = [0.0, *accumulate(starmap(dist, pairwise(path.tolist())))]
     if travelled[-1] == 0.0:
         return path[:1]
     stations = np.arange(1, n_samples + 1) / n_samples * travelled[-1]
