@@ -1,7 +1,7 @@
 """The netCDF file behind ``run.nc``: its dimensions and variables, and how rows of them are stored.
 
-Nothing is deflated: for fields with noise in them that took more than ten times as long as writing them, and saved an
-eighth of the file (docs/cluster.md).
+Nothing is deflated: fields with noise in them hardly shrink, and it takes ten times as long as writing them
+(docs/run-file.md).
 """
 
 from __future__ import annotations
