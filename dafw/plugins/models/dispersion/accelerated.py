@@ -11,7 +11,7 @@ A start that is handed in serves only where the reduced basis has none.
 
 from __future__ import annotations
 
-from collections import OrderedDict, deque
+from collections import OrderedDict
 
 import numpy as np
 
@@ -80,9 +80,9 @@ class AcceleratedWindSolver(WindSolver):
         factorised = self._factorisation(reynolds, direction, fixed)
         x, best, least = start, start, np.inf
         last_step = last_mixed = start
-        changes: deque[np.ndarray] = deque(maxlen=DEPTH)
-        both: deque[np.ndarray] = deque(maxlen=DEPTH)
-        # Differences between neighbouring steps, and between where they led to.
+        # Differences between the last few steps, and between where they led to.
+        changes, both = np.zeros((2, DEPTH, start.size))
+        products = np.zeros((DEPTH, DEPTH))
         for count in range(MAX_STEPS + 1):
             force = self.problem.residual(x, reynolds)
             force[fixed] = 0.0
@@ -93,18 +93,15 @@ class AcceleratedWindSolver(WindSolver):
             if norm <= target or count == MAX_STEPS or (count > 1 and not norm <= SLOW * before):
                 break
             step = -factorised.back_substitute(force)
-            mixed = x + step
+            x = mixed = x + step
             if count > 1:
-                changes.append(step - last_step)
-                both.append(mixed - last_mixed)
-                matrix = np.stack(changes)
-                products = matrix @ matrix.T
-                scale = np.sqrt(np.diagonal(products))
-                scaled = products / np.outer(scale, scale)
-                weights = np.linalg.lstsq(scaled, matrix @ step / scale, rcond=1e-14)[0] / scale
-                x = mixed - weights @ np.stack(both)
-            else:
-                x = mixed
+                place, used = (count - 2) % DEPTH, min(count - 1, DEPTH)
+                changes[place], both[place] = step - last_step, mixed - last_mixed
+                products[place, :used] = products[:used, place] = changes[:used] @ changes[place]
+                scale = np.sqrt(np.diagonal(products)[:used])
+                scaled = products[:used, :used] / np.outer(scale, scale)
+                weights = np.linalg.lstsq(scaled, changes[:used] @ step / scale, rcond=1e-14)[0] / scale
+                x = mixed - weights @ both[:used]
             last_step, last_mixed = step, mixed
         return Iterate(best, least, 0, bool(least <= target))
 
