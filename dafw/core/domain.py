@@ -47,7 +47,7 @@ class Domain:
         """Say whether the segment from ``start`` (2,) to ``end`` (2,) stays inside and touches no obstacle."""
         if not (self.contains(start) and self.contains(end)):
             return False
-        (x, y), (x_end, y_end) = start, end
+        (x, y), (x_end, y_end) = map(float, start), map(float, end)
         # Most legs are far from everything, and shapely need not be asked.
         near = (self._boxes <= [max(x, x_end), max(y, y_end), -min(x, x_end), -min(y, y_end)]).all(axis=1)
         return not (near.any() and self._touches(near, start, end))
