@@ -210,6 +210,19 @@ def test_what_the_iteration_cannot_do_is_solved_directly(block, around_block):
     assert system._solver.getConvergedReason() <= 0
 
 
+@pytest.mark.parametrize("speed, strong", [(1.0, False), (200.0, True)])
+def test_a_strong_wind_is_solved_directly_from_the_start(block, speed, strong):
+    transport = Transport(block, TransportOptions(), 1.0)
+    c = bell(nodes_of(block), [27.0, 52.0], 4.0)
+    system = transport.system(transport.uniform_velocity(speed, 0.3))
+    after = system.step(c)
+    indptr, indices, values = system._after.getValuesCSR()
+    matrix, right = csr_matrix((values, indices, indptr)), system._before @ c
+    right[transport.outer] = 0.0
+    assert np.linalg.norm(matrix @ after - right) <= 1e-12 * np.linalg.norm(right)
+    assert (system._direct is not None) is strong
+
+
 def test_what_cannot_be_solved_is_refused(block, around_block):
     c = bell(nodes_of(block), [27.0, 52.0], 4.0)
     c[5] = np.nan
