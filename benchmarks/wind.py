@@ -1,8 +1,8 @@
 """The wind: what the cheap solvers save, and what that costs in accuracy.
 
-The winds are those that a run of ``enie2d_paper`` (seed 0) solved, in their order, each from the member's last one
-(``winds_of_a_run.csv``: m/s, radians, row of the start). The baseline is warm Newton: a fresh Jacobian and
-factorisation in each iteration, from the member's last wind. docs/fast-winds.md.
+The winds are those that a run of ``enie2d_paper`` (seed 0, reduced winds) solved, in their order, each from the
+member's last one (``winds_of_a_run.csv``, written by ``record_winds.py``). The baseline is warm Newton: a fresh
+Jacobian and factorisation in each iteration, from the member's last wind. docs/fast-winds.md.
 """
 
 from __future__ import annotations

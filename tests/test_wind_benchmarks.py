@@ -7,6 +7,9 @@ from pathlib import Path
 
 import pytest
 
+import dafw
+from benchmarks import record_winds
+
 ROOT = Path(__file__).parent.parent
 NAMES = [
     "wind.accelerated_over_newton",
@@ -49,3 +52,16 @@ def test_drag_lift_and_pressure_difference_of_a_cylinder(results):
     assert drag == pytest.approx(5.57953523384, rel=0.012)
     assert lift == pytest.approx(0.010618948146, abs=0.006)  # 0.1 % of the drag
     assert pressure == pytest.approx(0.11752016697, rel=0.012)
+
+
+def test_the_winds_of_a_run_are_written_down_in_order(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    small = ["model.mesh.wall_size=60", "model.mesh.far_size=90", "model.wind_speed_sd=0.2", "members=3", "cycles=2"]
+    with dafw.run([*small, "pictures=false", "model.speed_threshold=0"]) as run:
+        solved = run["model_wind_solved"].values == 1
+        speeds = run["model_wind_speed"].values[solved]
+        assert record_winds.write(Path(run.attrs["folder"]), sys.stdout) == solved.sum() == 6
+    lines = [line.split(",") for line in capsys.readouterr().out.splitlines() if line.count(",") == 2]
+    assert lines[0] == ["intensity", "direction", "start"]
+    assert [float(speed) for speed, _, _ in lines[1:]] == speeds.tolist()
+    assert [line[2] for line in lines[1:5]] == ["", "", "", "0"]
