@@ -88,7 +88,7 @@ def enrich(solver: WindSolver, basis: ReducedBasis, parameters: np.ndarray, wind
     both = np.concatenate([modes, new], axis=1)
     known = np.pad(basis.coefficients, ((0, 0), (0, new.shape[1])))
     coefficients = np.concatenate([known.T, both.T @ (space.dirichlet @ inner)], axis=1)
-    return project(space, both, np.concatenate([basis.parameters, parameters]), coefficients)
+    return project(space, both, np.concatenate([basis.parameters, parameters]), coefficients, basis)
 
 
 def in_space(space: VelocitySpace, velocities: np.ndarray) -> np.ndarray:
@@ -97,32 +97,61 @@ def in_space(space: VelocitySpace, velocities: np.ndarray) -> np.ndarray:
     return velocities - space.lifts @ np.linalg.solve(product[:, :2], product[:, 2:])
 
 
-def project(space: VelocitySpace, modes: np.ndarray, parameters: np.ndarray, coefficients: np.ndarray) -> ReducedBasis:
-    """Return the basis with modes (2 v, r), orthonormal in a, and coefficients (r, s) of the snapshots."""
-    from tqdm import tqdm
+def project(
+    space: VelocitySpace,
+    modes: np.ndarray,
+    parameters: np.ndarray,
+    coefficients: np.ndarray,
+    known: ReducedBasis | None = None,
+) -> ReducedBasis:
+    """Return the basis with modes (2 v, r), orthonormal in a, and coefficients (r, s) of the snapshots.
 
+    ``known`` is a basis of the first of these modes: what it has is not computed again.
+    """
     rng = np.random.default_rng(SEED)
     functionals = np.stack([space.riesz(space.noise(rng)) for _ in range(FUNCTIONALS)], axis=1)
     velocities = np.concatenate([space.lifts, modes], axis=1)
     n, r = velocities.shape[1], modes.shape[1]
-    tested = space.by_component(np.concatenate([modes, functionals], axis=1))
-    tests = np.ascontiguousarray(tested.reshape(space.size, -1).T)
-    carried = np.ascontiguousarray(space.by_component(velocities))
-    tensor = np.zeros((r + FUNCTIONALS, n, n))
-    for j in tqdm(range(n), desc="projection of the reduced basis", unit="mode", disable=None, file=sys.stderr):
-        convection = space.convection(velocities[:, j])
-        for start in range(0, len(carried), ROWS):
-            load = (convection[start : start + ROWS] @ carried).reshape(-1, n)
-            tensor[:, j] += tests[:, 2 * start : 2 * start + len(load)] @ load
-    tensor = 0.5 * (tensor + tensor.transpose(0, 2, 1))
     first, second = np.triu_indices(n)
-    linear = functionals.T @ (space.dirichlet @ velocities)
+    tensor = carried(space, velocities, np.concatenate([modes, functionals], axis=1), known)
     return ReducedBasis(
         velocities=np.ascontiguousarray(velocities),
         quadratic=tensor[:r],
         gram=velocities.T @ (space.mass @ velocities),
-        functionals=linear,
+        functionals=functionals.T @ (space.dirichlet @ velocities),
         functionals_quadratic=np.ascontiguousarray(tensor[r:, first, second]),
         parameters=parameters,
         coefficients=np.ascontiguousarray(coefficients.T),
     )
+
+
+def carried(space: VelocitySpace, velocities: np.ndarray, tests: np.ndarray, known: ReducedBasis | None) -> np.ndarray:
+    """Return int (u_j . grad u_k) . w_i, made symmetric in j and k, (i, n, n): velocities u (2 v, n), tests w (2 v, i).
+
+    The tests are the velocities without the two lifts, and functionals. What ``known`` has of it is taken from there.
+    """
+    from tqdm import tqdm
+
+    n = velocities.shape[1]
+    old = known.velocities.shape[1] if known else 0
+    added = space.by_component(tests[:, max(old - 2, 0) : n - 2])  # tests that ``known`` has not
+    tested = np.ascontiguousarray(space.by_component(tests).reshape(space.size, -1).T)
+    moved = np.ascontiguousarray(space.by_component(velocities))
+    moved_old = space.by_component(velocities[:, :old]).reshape(space.size, -1)
+    moved_new = np.ascontiguousarray(space.by_component(velocities[:, old:]))
+    tensor = np.zeros((tests.shape[1], n, n))
+    for j in tqdm(range(n), desc="projection of the reduced basis", unit="mode", disable=None, file=sys.stderr):
+        convection = space.convection(velocities[:, j])
+        first, right = (old, moved_new) if j < old else (0, moved)
+        for start in range(0, len(moved), ROWS):
+            load = (convection[start : start + ROWS] @ right).reshape(-1, n - first)
+            tensor[:, j, first:] += tested[:, 2 * start : 2 * start + len(load)] @ load
+        if j < old:  # few tests and many velocities: the matrix is cheaper on the tests' side
+            loads = (convection.T @ added).reshape(space.size, -1)
+            tensor[old - 2 : n - 2, j, :old] = loads.T @ moved_old
+    tensor = 0.5 * (tensor + tensor.transpose(0, 2, 1))
+    if known:
+        rows, columns = np.triu_indices(old)
+        tensor[: old - 2, :old, :old] = known.quadratic
+        tensor[n - 2 :, rows, columns] = tensor[n - 2 :, columns, rows] = known.functionals_quadratic
+    return tensor

@@ -13,7 +13,7 @@ from dafw.plugins.models.dispersion.accelerated import AcceleratedWindSolver
 from dafw.plugins.models.dispersion.model_ins import AdvectionDiffusionINS
 from dafw.plugins.models.dispersion.reduced import ReducedWindSolver
 from dafw.plugins.models.dispersion.reduced_advection import ReducedAdvection
-from dafw.plugins.models.dispersion.reduced_basis import FUNCTIONALS
+from dafw.plugins.models.dispersion.reduced_basis import FUNCTIONALS, enrich, project
 from dafw.plugins.models.dispersion.reduced_flow import SAFETY, newton
 from dafw.plugins.models.dispersion.transport import Transport, TransportOptions
 from dafw.plugins.models.dispersion.velocity_space import VelocitySpace
@@ -94,6 +94,18 @@ def test_reduced_equations_are_the_full_ones_tested_with_the_modes(solver, refer
         exact = modes.T @ convection[problem.velocity_dofs]
         projected = np.einsum("ijk,j,k->i", basis.quadratic, coefficients, coefficients)
         np.testing.assert_allclose(projected, exact, rtol=1e-10, atol=1e-10 * np.abs(exact).max())
+
+
+def test_an_enriched_basis_is_the_one_projected_anew(solver, space, reference):
+    parameters = np.array([(reference.reynolds(intensity), 0.3) for intensity in (6.0, 7.0)])
+    winds = [reference.problem.velocity(reference.solve(intensity, 0.3).unit) for intensity in (6.0, 7.0)]
+    richer = enrich(reference, solver.flow.basis, parameters, np.stack(winds, axis=1))
+    anew = project(space, richer.velocities[:, 2:], richer.parameters, richer.coefficients.T)
+    assert len(richer.quadratic) == len(solver.flow.basis.quadratic) + 2
+    for name, array in anew.arrays().items():
+        np.testing.assert_allclose(
+            richer.arrays()[name], array, rtol=0.0, atol=1e-11 * np.abs(array).max(), err_msg=name
+        )
 
 
 def test_newton_solves_the_reduced_equations(solver):
