@@ -24,7 +24,8 @@ import numpy as np
 from benchmarks import Measurement, benchmark
 from dafw.plugins.models.dispersion.mesh import MeshOptions, TaggedMesh, generate, load
 from dafw.plugins.models.dispersion.site import SiteOptions, load_site
-from dafw.plugins.models.dispersion.wind import BasisOptions, WindOptions, WindSolver, wind_solver
+from dafw.plugins.models.dispersion.wind import BasisOptions, WindOptions, WindSolver
+from dafw.plugins.models.dispersion.wind_solvers import wind_solver
 
 PAPER = MeshOptions(wall_size=5.5, far_size=14.0, transition=120.0)
 """That of ``enie2d_paper``: 10,000 nodes."""

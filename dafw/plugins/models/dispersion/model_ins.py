@@ -27,7 +27,8 @@ from dafw.plugins.models.dispersion.model import AdvectionDiffusion
 from dafw.plugins.models.dispersion.partition import Partition, Undivided
 from dafw.plugins.models.dispersion.site import Site
 from dafw.plugins.models.dispersion.transport import TransportSystem
-from dafw.plugins.models.dispersion.wind import WindOptions, WindSolver, not_partitioned, wind_solver
+from dafw.plugins.models.dispersion.wind import WindOptions, WindSolver
+from dafw.plugins.models.dispersion.wind_solvers import not_partitioned, wind_solver
 
 if TYPE_CHECKING:
     from dafw.plugins.models.dispersion.reduced_advection import ReducedAdvection

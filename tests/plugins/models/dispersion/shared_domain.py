@@ -15,7 +15,8 @@ from dafw.core.rng import Streams
 from dafw.plugins.models.dispersion.mesh import generate, load
 from dafw.plugins.models.dispersion.model_ins import AdvectionDiffusionINS
 from dafw.plugins.models.dispersion.transport import Transport, TransportOptions
-from dafw.plugins.models.dispersion.wind import WindOptions, WindSolver, wind_solver
+from dafw.plugins.models.dispersion.wind import WindOptions, WindSolver
+from dafw.plugins.models.dispersion.wind_solvers import wind_solver
 
 TOLERANCE = 1e-11
 CENTRE = np.array([30.0, 5.0])

@@ -17,7 +17,8 @@ from dafw.plugins.models.dispersion import basis_file
 from dafw.plugins.models.dispersion.basis_cache import key
 from dafw.plugins.models.dispersion.basis_file import BasisStore
 from dafw.plugins.models.dispersion.reduced_flow import ReducedBasis
-from dafw.plugins.models.dispersion.wind import BasisOptions, WindOptions, wind_solver
+from dafw.plugins.models.dispersion.wind import BasisOptions, WindOptions
+from dafw.plugins.models.dispersion.wind_solvers import wind_solver
 
 OPTIONS = WindOptions(
     viscosity=20.0, solver="reduced", basis=BasisOptions(directions=4, levels=1, max_intensity=1.0, modes=10)
@@ -204,7 +205,7 @@ import sys, time
 from pathlib import Path
 sys.path.insert(0, sys.argv[1])
 from test_basis_file import OPTIONS, plain_block
-from dafw.plugins.models.dispersion.wind import wind_solver
+from dafw.plugins.models.dispersion.wind_solvers import wind_solver
 number, meeting = int(sys.argv[2]), Path(sys.argv[3])
 
 def meet(purpose):

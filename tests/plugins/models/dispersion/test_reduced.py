@@ -17,7 +17,8 @@ from dafw.plugins.models.dispersion.reduced_basis import FUNCTIONALS, enrich, pr
 from dafw.plugins.models.dispersion.reduced_flow import SAFETY, newton
 from dafw.plugins.models.dispersion.transport import Transport, TransportOptions
 from dafw.plugins.models.dispersion.velocity_space import VelocitySpace
-from dafw.plugins.models.dispersion.wind import BasisOptions, WindOptions, WindSolver, wind_solver
+from dafw.plugins.models.dispersion.wind import BasisOptions, WindOptions, WindSolver
+from dafw.plugins.models.dispersion.wind_solvers import wind_solver
 
 BASIS = BasisOptions(directions=8, levels=3, max_intensity=5.0, modes=40)
 VISCOSITY = 20.0
