@@ -72,6 +72,7 @@ def follow_study(study: Study, communicator: Any) -> None:
     parts, vehicle = assemble(study, communicator)
     with stop_signals() as stop, threadpool_limits(limits=1, user_api="blas"):
         state = start(parts, study.members, vehicle)
+        stop.patient = True
         for done in range(1, study.cycles + 1):
             state = advance(parts, state).state
             if stop.agreed(communicator) and done < study.cycles:

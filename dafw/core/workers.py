@@ -27,6 +27,8 @@ from dafw.core.errors import ComputationError, DafwError
 log = logging.getLogger("dafw")
 
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS"), "1")
+LAUNCHERS = ("PMI", "OMPI_")
+"""What variables of an mpirun begin with; a worker that had them would take part in its job."""
 PATIENCE = 5.0
 """Seconds that an idle worker has to end by itself."""
 REPLACED = 2
@@ -129,6 +131,12 @@ def _listen(connection: Connection, messages: SimpleQueue[Any]) -> None:
         os._exit(status)
 
 
+def _environment() -> dict[str, str]:
+    """Return this process's environment for a worker: one thread, and no rank of an MPI job, which it is not."""
+    own = {name: value for name, value in os.environ.items() if not name.startswith(LAUNCHERS)}
+    return own | ONE_THREAD
+
+
 class Worker:
     """One worker process and the connection to it."""
 
@@ -138,10 +146,14 @@ class Worker:
             # The same interpreter and path; a group of its own, out of reach of Ctrl-C; what is printed there must not
             # get between a command's results.
             self.process = subprocess.Popen(
-                [sys.executable, "-c", PROGRAM.format(path=sys.path, descriptor=theirs.fileno())],
+                [
+                    sys.executable,
+                    "-c",
+                    PROGRAM.format(path=[str(entry) for entry in sys.path], descriptor=theirs.fileno()),
+                ],
                 stdin=subprocess.DEVNULL,
                 stdout=2,
-                env={**os.environ, **ONE_THREAD},
+                env=_environment(),
                 pass_fds=[theirs.fileno()],
                 process_group=0,
             )
@@ -205,11 +217,12 @@ def share_out(
     Close what this returns where it is not used up (contextlib.closing): that ends the workers. Raises what a call
     raises, and ComputationError, which says ``what`` was lost, where workers die again and again.
     """
-    pool = [Worker() for _ in range(min(workers, len(tasks)))]
+    pool: list[Worker] = []
     todo, at = list(range(len(tasks)))[::-1], {}
     lost = 0
     try:
-        for worker in pool:
+        for _ in range(min(workers, len(tasks))):
+            pool.append(worker := Worker())
             at[worker] = todo.pop()
             worker.ask(function, *tasks[at[worker]])
         while at:

@@ -36,6 +36,12 @@ def test_tasks_are_shared_out_and_all_come_back():
     assert not any(map(alive, processes))
 
 
+def test_a_worker_takes_no_part_in_its_parents_mpi_job(monkeypatch):
+    for name in ("PMI_RANK", "PMI_FD", "OMPI_COMM_WORLD_SIZE"):
+        monkeypatch.setenv(name, "1")
+    assert list(share_out(errands.ranks_known, [()], 1, "ranks")) == [(0, [])]
+
+
 def test_an_error_is_the_one_line_that_it_is_here():
     with pytest.raises(SolverError, match=r"^no square of 13$"):
         list(share_out(errands.squared, [(1,), (13,)], 2, "squares"))

@@ -55,11 +55,18 @@ class BasisStore:
 
     @contextmanager
     def lock(self) -> Iterator[None]:
-        """Hold the lock, after waiting for whoever has it; a process that dies lets go of it."""
+        """Hold the lock, after waiting for whoever has it; a process that dies lets go of it.
+
+        Raises ConfigurationError where the cache cannot be written to.
+        """
         import fcntl
 
-        self.folder.mkdir(parents=True, exist_ok=True)
-        with (self.folder / "lock").open("w") as file:
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            file = (self.folder / "lock").open("w")
+        except OSError as error:
+            raise _unwritable(self.folder, error) from None
+        with file:
             try:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
@@ -110,12 +117,15 @@ class BasisStore:
         return digest
 
     def submit(self, reynolds: float, direction: float, velocity: np.ndarray) -> None:
-        """Leave a wind (2 v,) for the next basis, unless very many wait already."""
+        """Leave a wind (2 v,) for the next basis, unless very many wait already; the log says where it cannot."""
         if len(list((self.folder / "waiting").glob("*.npz"))) >= MOST_WAITING:
             return
         parameters = np.array([reynolds, direction])
         content = _packed(parameters=parameters, velocity=velocity)
-        _place(self.folder / "waiting" / f"{_digest(parameters.tobytes())}.npz", content)
+        try:
+            _place(self.folder / "waiting" / f"{_digest(parameters.tobytes())}.npz", content)
+        except ConfigurationError as error:  # the run has its wind and goes on
+            log.warning("%s: the next basis will not know a wind that was solved in full", error)
 
     def waiting(self, size: int, limit: int) -> list[Waiting]:
         """Return up to ``limit`` winds that wait, by name; a file without a velocity of ``size`` numbers is removed."""
@@ -156,6 +166,8 @@ def _place(path: Path, content: bytes) -> None:
                 os.fsync(file.fileno())
             made.replace(path)
     except OSError as error:
-        raise ConfigurationError(
-            f"wind: cannot write to the cache {path.parent} ({error.strerror}); DAFW_CACHE moves it"
-        ) from None
+        raise _unwritable(path.parent, error) from None
+
+
+def _unwritable(folder: Path, error: OSError) -> ConfigurationError:
+    return ConfigurationError(f"wind: cannot write to the cache {folder} ({error.strerror}); DAFW_CACHE moves it")

@@ -154,6 +154,15 @@ def test_a_wind_that_the_basis_knows_by_then_adds_nothing(block, cache):
     assert not list((only_folder(cache) / "waiting").iterdir())
 
 
+def test_a_cache_that_cannot_be_written_to_is_named_and_ends_no_run(tmp_path, caplog):
+    (tmp_path / "file").touch()
+    store = BasisStore(tmp_path / "file" / "key")
+    with pytest.raises(ConfigurationError, match="wind: cannot write to the cache"), store.lock():
+        pass
+    store.submit(0.1, 0.0, np.zeros(6))
+    assert "the next basis will not know a wind that was solved in full" in caplog.text
+
+
 def test_no_more_winds_wait_than_can_be_used(tmp_path, monkeypatch):
     monkeypatch.setattr(basis_file, "MOST_WAITING", 3)
     store = BasisStore(tmp_path)
