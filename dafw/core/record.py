@@ -1,8 +1,8 @@
 """What a run keeps of its cycles, written while it goes on and read by plain xarray. docs/run-file.md lists the names.
 
 Row k of ``time`` is the state after k cycles. Fields are stored in single precision, parameters and scores in double.
-Rows are kept back for at most ``FLUSH_SECONDS`` and then written and synchronised; a run killed at any moment leaves a
-file that opens.
+Rows are kept back until one comes ``FLUSH_SECONDS`` after the last writing, and then written and synchronised; a run
+killed at any moment leaves a file that opens.
 """
 
 from __future__ import annotations
