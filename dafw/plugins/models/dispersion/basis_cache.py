@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
-from dafw.core.errors import ConfigurationError
 from dafw.plugins.models.dispersion.basis_file import BasisStore
 from dafw.plugins.models.dispersion.mesh import TaggedMesh, cache_folder
 from dafw.plugins.models.dispersion.reduced_flow import ReducedBasis
@@ -30,13 +29,8 @@ def basis_for(tagged_mesh: TaggedMesh, options: WindOptions) -> tuple[BasisStore
     """Return the store, the digest and the basis of a mesh and options; made now where there is none.
 
     Winds that wait are taken in here and nowhere else, so that a basis in use never changes. Raises ConfigurationError
-    where the boundary does not suit a basis or the basis asked for by its digest is not there.
+    where the basis asked for by its digest is not there.
     """
-    if options.boundary != "uniform":
-        raise ConfigurationError(
-            f"wind: a reduced basis expects boundary 'uniform', got '{options.boundary}': where that prescribes "
-            "the wind changes with the direction; choose solver 'newton'"
-        )
     store = BasisStore(cache_folder() / f"wind-basis-{key(tagged_mesh, options)}")
     if wanted := options.basis.digest:
         return store, wanted, store.load(wanted)

@@ -27,7 +27,7 @@ from dafw.plugins.models.dispersion.model import AdvectionDiffusion
 from dafw.plugins.models.dispersion.partition import Partition, Undivided
 from dafw.plugins.models.dispersion.site import Site
 from dafw.plugins.models.dispersion.transport import TransportSystem
-from dafw.plugins.models.dispersion.wind import WindOptions, WindSolver
+from dafw.plugins.models.dispersion.wind import WindOptions, WindSolver, require_uniform
 from dafw.plugins.models.dispersion.wind_solvers import not_partitioned, wind_solver
 
 if TYPE_CHECKING:
@@ -48,6 +48,10 @@ class AdvectionDiffusionINS(AdvectionDiffusion):
     )
 
     _shared: Shared = field(default_factory=shared, init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_uniform(self.wind)
 
     @cached_property
     def ground(self) -> Site:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dafw.core.errors import ContractError, SolverError
+from dafw.core.errors import ConfigurationError, ContractError, SolverError
 from dafw.core.options import option
 from dafw.plugins.models.dispersion.mesh import TaggedMesh
 
@@ -68,6 +68,15 @@ class WindOptions:
     )
     keep_factorisation: bool = option(True, "newton: use a factorisation again while it serves well")
     basis: BasisOptions = option(BasisOptions, "the reduced basis of the accelerated and the reduced solver")
+
+
+def require_uniform(options: WindOptions) -> None:
+    """Raise ConfigurationError where the boundary does not suit the solver."""
+    if options.solver != "newton" and options.boundary != "uniform":
+        raise ConfigurationError(
+            f"wind: solver '{options.solver}' expects boundary 'uniform', got '{options.boundary}': where that "
+            "prescribes the wind changes with the direction, and one basis does not fit; choose solver 'newton'"
+        )
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dafw.core.errors import ConfigurationError
 from dafw.plugins.models.dispersion.mesh import TaggedMesh
-from dafw.plugins.models.dispersion.wind import WindOptions, WindSolver
+from dafw.plugins.models.dispersion.wind import WindOptions, WindSolver, require_uniform
 
 
 def wind_solver(tagged_mesh: TaggedMesh, options: WindOptions) -> WindSolver:
@@ -12,6 +12,7 @@ def wind_solver(tagged_mesh: TaggedMesh, options: WindOptions) -> WindSolver:
 
     Raises ConfigurationError where the boundary does not suit the solver, or a partitioned mesh not a cheap one.
     """
+    require_uniform(options)
     if options.solver == "newton":
         return WindSolver(tagged_mesh, options)
     if tagged_mesh.mesh.comm.size > 1:

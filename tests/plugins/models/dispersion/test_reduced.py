@@ -232,8 +232,10 @@ def test_proportional_closure_needs_one_parameter(block, tmp_path, monkeypatch):
 
 
 def test_an_outflow_has_no_basis(block):
-    with pytest.raises(ConfigurationError, match="expects boundary 'uniform', got 'outflow'"):
+    with pytest.raises(ConfigurationError, match="'reduced' expects boundary 'uniform', got 'outflow'"):
         wind_solver(block, WindOptions(boundary="outflow", solver="reduced"))
+    with pytest.raises(ConfigurationError, match="'accelerated' expects boundary 'uniform', got 'outflow'"):
+        build(AdvectionDiffusionINS, {"wind": {"solver": "accelerated", "boundary": "outflow"}}, "model")
 
 
 def test_arguments_that_make_no_sense_are_refused(solver):
