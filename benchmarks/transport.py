@@ -35,9 +35,9 @@ def step_over_scratch(short: bool) -> Measurement:
 
     member = transport.system(transport.uniform_velocity(1.0, 0.0))  # a member has one from its last wind
     for intensity, direction in draws(3 if short else 31, 8.0):
-        unit, solve = timed(measured.reduced.solve, intensity, direction)
-        wind = measured.reduced.velocity(unit)
-        (system, first), new = timed(in_new_wind, unit.unit, intensity)
+        solution, solve = timed(measured.reduced.solve, intensity, direction)
+        wind = measured.reduced.velocity(solution)
+        (system, first), new = timed(in_new_wind, solution.unit, intensity)
         second, dear = timed(scratch.step, wind, cloud)
         _, kept = timed(system.step, first)
         rows.append((solve, new, kept, dear, np.abs(first - second).max() / np.abs(second).max()))

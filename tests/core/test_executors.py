@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from processes import alive
 from trouble import Trouble
 
 import dafw
@@ -106,15 +107,6 @@ def test_a_diagnostic_that_is_not_of_members_must_not_depend_on_the_batch():
     assert walk(SERIAL, kind_of="not_of_members")[0].diagnostics["batch_size"].values == N
     with pytest.raises(ContractError, match="model 'trouble': the diagnostic 'batch_size' differs from one batch"):
         walk(TWO, kind_of="not_of_members")
-
-
-def alive(pid):
-    """Say whether a process is there; one that ended and was not waited for still is."""
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    return True
 
 
 def test_closing_ends_the_workers_even_in_a_step_that_nobody_waits_for():

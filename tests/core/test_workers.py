@@ -10,6 +10,7 @@ from pathlib import Path
 
 import errands
 import pytest
+from processes import alive
 
 from dafw.core.errors import ComputationError, SolverError
 from dafw.core.workers import Worker, outcome, share_out, spare_cores
@@ -18,14 +19,6 @@ from dafw.core.workers import Worker, outcome, share_out, spare_cores
 @pytest.fixture(autouse=True)
 def found(monkeypatch):
     monkeypatch.syspath_prepend(str(Path(__file__).parent))
-
-
-def alive(pid):
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    return True
 
 
 def test_tasks_are_shared_out_and_all_come_back():

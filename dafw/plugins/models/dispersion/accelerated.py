@@ -119,7 +119,7 @@ class AcceleratedWindSolver(WindSolver):
         if point in self._kept:
             self._kept.move_to_end(point)
             return self._kept[point]
-        full = self._kept and len(self._kept) * next(iter(self._kept.values())).megabytes >= KEPT_MEGABYTES
+        full = sum(kept.megabytes for kept in self._kept.values()) >= KEPT_MEGABYTES
         factorised = self._kept.popitem(last=False)[1] if full else Newton(self.problem, single=True)
         wind = self.flow.solve(lattice_reynolds, 2.0 * np.pi * turn / directions)
         factorised.factorise(self.problem.jacobian(self._mixed(wind), lattice_reynolds), fixed)

@@ -113,7 +113,7 @@ def project(
     velocities = np.concatenate([space.lifts, modes], axis=1)
     n, r = velocities.shape[1], modes.shape[1]
     first, second = np.triu_indices(n)
-    tensor = carried(space, velocities, np.concatenate([modes, functionals], axis=1), known)
+    tensor = carried(space, velocities, functionals, known)
     return ReducedBasis(
         velocities=np.ascontiguousarray(velocities),
         quadratic=tensor[:r],
@@ -125,14 +125,18 @@ def project(
     )
 
 
-def carried(space: VelocitySpace, velocities: np.ndarray, tests: np.ndarray, known: ReducedBasis | None) -> np.ndarray:
-    """Return int (u_j . grad u_k) . w_i, made symmetric in j and k, (i, n, n): velocities u (2 v, n), tests w (2 v, i).
+def carried(
+    space: VelocitySpace, velocities: np.ndarray, functionals: np.ndarray, known: ReducedBasis | None
+) -> np.ndarray:
+    """Return int (u_j . grad u_k) . w_i, made symmetric in j and k, (i, n, n), of velocities u (2 v, n).
 
-    The tests are the velocities without the two lifts, and functionals. What ``known`` has of it is taken from there.
+    The tests w are the velocities without the two lifts, then the functionals (2 v, m). What ``known`` has is taken
+    from there.
     """
     from tqdm import tqdm
 
     n = velocities.shape[1]
+    tests = np.concatenate([velocities[:, 2:], functionals], axis=1)
     old = known.velocities.shape[1] if known else 0
     added = space.by_component(tests[:, max(old - 2, 0) : n - 2])  # tests that ``known`` has not
     tested = np.ascontiguousarray(space.by_component(tests).reshape(space.size, -1).T)

@@ -4,9 +4,9 @@ import json
 
 import netCDF4
 import pytest
-from test_same_bits import contents
+from small_study import contents, small_study
 
-from dafw.core.experiment import assemble, study_from
+from dafw.core.experiment import assemble
 from dafw.core.sharing import Shared
 from dafw.plugins.models.dispersion import model_ins
 from dafw.running import run_study
@@ -20,23 +20,9 @@ def study(small_model, tmp_path, monkeypatch):
 
     def make(digest="", executor="serial", truth=None, **wind):
         options = {"solver": "reduced", "basis": BASIS | {"digest": digest}}
-        certain = {"wind_speed_sd": 0.0, "wind_direction_sd": 0.0, "noise": 0.0}
-        return study_from(
-            {
-                "members": 4,
-                "cycles": 3,
-                "model": {"name": "ad_ins", **small_model, "noise": 0.1, "wind": options | wind},
-                "truth": {**certain, "wind_speed": 2.0, "transport": {"diffusion": 0.8}, **(truth or {})},
-                "free": certain,
-                "observer": {"name": "drone", "assumed_variance": 1e-3},
-                "policy": {"name": "enie2d"},
-                "filter": {"name": "etkf"},
-                "vehicle": {"start": [[60.0, 10.0]]},
-                "record": {"members": "all"},
-                "pictures": False,
-                "executor": {"name": executor},
-            }
-        )
+        model = small_model | {"wind": options | wind}
+        truth = {"wind_speed": 2.0, "transport": {"diffusion": 0.8}, **(truth or {})}
+        return small_study(model, truth, {"name": executor}, members=4, cycles=3)
 
     return make
 

@@ -2,8 +2,8 @@
 
 import netCDF4
 import pytest
+from small_study import contents, small_study
 
-from dafw.core.experiment import study_from
 from dafw.running import run_study
 
 
@@ -11,37 +11,9 @@ from dafw.running import run_study
 def study(small_model):
     def make(executor, seed=0):
         often = {"speed_threshold": 0.01, "direction_threshold": 0.005}
-        certain = {"wind_speed_sd": 0.0, "wind_direction_sd": 0.0, "noise": 0.0}
-        return study_from(
-            {
-                "seed": seed,
-                "members": 5,
-                "cycles": 6,
-                "model": {"name": "ad_ins", **small_model, "noise": 0.1, **often},
-                "truth": {**certain, "wind_speed": 4.0},
-                "free": certain,
-                "observer": {"name": "drone", "assumed_variance": 1e-3},
-                "policy": {"name": "enie2d"},
-                "filter": {"name": "etkf"},
-                "vehicle": {"start": [[60.0, 10.0]]},
-                "record": {"members": "all"},
-                "pictures": False,
-                "executor": executor,
-            }
-        )
+        return small_study(small_model | often, {"wind_speed": 4.0}, executor, seed=seed, members=5, cycles=6)
 
     return make
-
-
-def contents(folder):
-    """Return the bits of everything in a run's file but the times that it took."""
-    with netCDF4.Dataset(folder / "run.nc") as file:
-        file.set_auto_mask(False)
-        return {
-            name: variable[...].tobytes()
-            for name, variable in file.variables.items()
-            if variable.dtype is not str and name != "phase_seconds"
-        }
 
 
 @pytest.fixture(scope="module")
