@@ -21,9 +21,9 @@ from dafw.plugins.models.dispersion.newton import Iterate, Newton
 from dafw.plugins.models.dispersion.reduced_flow import ReducedFlow, ReducedWind
 from dafw.plugins.models.dispersion.wind import WindOptions, WindSolution, WindSolver
 
-DIRECTIONS = 80
+DIRECTIONS = 90
 """At R = 1/m; weaker winds look more alike, and the lattice has sqrt(R) of that all round."""
-RATIO = 2.0
+RATIO = 1.7
 WEAKEST = 0.01
 """1/m; from here up the lattice has a factor ``RATIO`` between its Reynolds numbers, below there is Stokes flow."""
 STRONGEST = 0.25
@@ -46,6 +46,7 @@ class AcceleratedWindSolver(WindSolver):
         self._store, self._digest, basis = basis_for(tagged_mesh, options)
         self.flow = ReducedFlow(basis)
         self._kept: OrderedDict[tuple[float, int], Newton] = OrderedDict()
+        self._products = self._products_of_lifts()
 
     @property
     def digest(self) -> str:
@@ -61,11 +62,30 @@ class AcceleratedWindSolver(WindSolver):
         begun = np.where(fixed, lift, self._mixed(reduced))
         if reynolds > STRONGEST:
             return super()._solve(intensity, direction, begun)
-        scale = self._norm(lift, reynolds, fixed)
+        scale = self._scale(reynolds, direction)
         found = self._iterate(begun, reynolds, direction, fixed, self.options.tolerance * scale)
         if not found.converged:
             return super()._solve(intensity, direction, found.unknowns)
         return WindSolution(found.unknowns, intensity, direction, 0, found.residual / scale)
+
+    def _products_of_lifts(self) -> np.ndarray:
+        """Return the scalar products (5, 5) of the residuals of winds from the west and the south, at rest inside.
+
+        The residual of all such winds is linear and quadratic in cos d and sin d: two vectors, and three times R.
+        """
+        fixed, east = self.boundary.conditions(0.0)
+        north = self.boundary.conditions(0.5 * np.pi)[1]
+        linear = [self.problem.residual(lift, 0.0) for lift in (east, north)]
+        squares = [self.problem.residual(lift, 1.0) - part for lift, part in zip((east, north), linear, strict=True)]
+        both = self.problem.residual(east + north, 1.0) - sum(linear) - sum(squares)
+        vectors = np.array([*linear, *squares, both])[:, ~fixed]
+        return vectors @ vectors.T
+
+    def _scale(self, reynolds: float, direction: float) -> float:
+        """Return the norm of the residual of a wind that is at rest inside, to which the tolerance is relative."""
+        c, s = np.cos(direction), np.sin(direction)
+        parts = np.array([c, s, reynolds * c * c, reynolds * s * s, reynolds * c * s])
+        return float(np.sqrt(parts @ self._products @ parts))
 
     def _mixed(self, wind: ReducedWind) -> np.ndarray:
         """Return the mixed unknowns (n,) of a reduced wind, its pressure zero."""

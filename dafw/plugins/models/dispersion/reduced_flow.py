@@ -83,7 +83,8 @@ class ReducedFlow:
         coefficients[:2] = np.cos(direction), np.sin(direction)
         coefficients[2:first] = nearest[: first - 2]
         error, iterations = np.inf, 0
-        for tensor in self._stages:
+        # Where no error is good enough, the stages between do not pay.
+        for tensor in self._stages if accepted > 0.0 else (self._stages[0], self._stages[-1]):
             more = newton(tensor, reynolds, coefficients[: tensor.shape[1]])
             iterations += more
             if more == MAX_ITERATIONS or not np.isfinite(coefficients).all():
