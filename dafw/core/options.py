@@ -19,7 +19,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass, make_dataclass
 from typing import Any
 
-from dafw.core.errors import OptionError
+from dafw.core.errors import ConfigurationError, OptionError
 
 
 def option(
@@ -95,7 +95,7 @@ def build[T](cls: type[T], values: Mapping[str, Any], where: str) -> T:
     """Make a ``cls`` from plain values, nested mappings included.
 
     ``where`` names the place in messages (``filter 'etkf'``). Raises OptionError where an option is unknown, of the
-    wrong type or out of range.
+    wrong type or out of range, and the ConfigurationError with which the class itself refuses them.
     """
     known = dict((f.name, (f, hint)) for f, hint in _option_fields(cls))
     for name in values:
@@ -113,7 +113,12 @@ def build[T](cls: type[T], values: Mapping[str, Any], where: str) -> T:
             arguments[name] = build(hint, values[name], f"{where}, {name}")
         else:
             arguments[name] = _checked(values[name], hint, f, where)
-    return cls(**arguments)
+    try:
+        return cls(**arguments)
+    except ConfigurationError as error:  # of its __post_init__, which may not know under what name it is made
+        if str(error).startswith(where):
+            raise
+        raise type(error)(f"{where}: {error}") from error
 
 
 def _checked(value: Any, hint: Any, f: dataclasses.Field[Any], where: str) -> Any:

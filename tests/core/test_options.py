@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from dafw import OptionError, option
+from dafw import ConfigurationError, OptionError, option
 from dafw.core.options import build, describe
 
 
@@ -95,3 +95,18 @@ def test_a_class_that_is_no_dataclass_is_named():
 
     with pytest.raises(OptionError, match="Plain is not a dataclass"):
         describe(Plain)
+
+
+@dataclass
+class Ordered:
+    low: float = option(0.0, "the lower one")
+    high: float = option(1.0, "the upper one")
+
+    def __post_init__(self):
+        if self.low > self.high:
+            raise ConfigurationError(f"low is {self.low}, expected at most high, {self.high}")
+
+
+def test_what_the_class_itself_refuses_says_where_it_was_said():
+    with pytest.raises(ConfigurationError, match=r"^filter 'x': low is 2.0, expected at most high, 1.0$"):
+        build(Ordered, {"low": 2.0}, "filter 'x'")
