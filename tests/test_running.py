@@ -134,6 +134,12 @@ def refused(words, capsys, message):
         (["run", "-m", "seed=1,1"], "the same job twice"),
         (["run", "--config-path", "my"], "--config-path would replace"),
         (["run", "--foo"], "unrecognized arguments: --foo"),
+        (["run", "model.wind.solver=reduced", "model.wind.boundary=outflow"], "model 'ad_ins': wind: solver 'reduced'"),
+        (["run", "model.wind.solver=reduced", "model.wind.basis.digest=abc"], "wind: the reduced basis abc"),
+        (
+            ["run", "-m", "model.wind.solver=reduced", "model.wind.basis.digest='',abc"],
+            "model 'ad_ins': wind: the reduced basis abc is not in the cache",
+        ),
         (["run", "hydra.job.chdir=true"], "hydra.job.chdir"),
         (["plugins", "etfk"], "no plugin 'etfk'"),
         (["plugins", "--what"], "unrecognized arguments: --what"),

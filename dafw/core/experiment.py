@@ -119,6 +119,12 @@ def assemble(study: Study, communicator: Any = None) -> tuple[Parts, Vehicle]:
                 f"the {label} has {other.space!r} and dt = {other.dt:g} s, "
                 f"the model {model.space!r} and {model.dt:g} s: they must agree, in their coordinates too"
             )
+    for role, asked in (("", model), ("truth: ", truth), ("free: ", free)):
+        try:
+            if asked is not None:
+                asked.require_available()
+        except ConfigurationError as error:  # the model was asked first
+            raise type(error)(f"{role}{error}") from error
     observer: Observer = registry().create("observer", study.observer)
     policy: Policy = registry().create("policy", study.policy)
     filter_: Filter = registry().create("filter", study.filter)

@@ -65,6 +65,9 @@ class Model(Plugin):
         """
         raise ConfigurationError(f"{self.label} works in one process: mpirun brings nothing, run it without")
 
+    def require_available(self) -> None:
+        """Raise ConfigurationError where something that the options name is not there; asked before a run begins."""
+
     def pinned_options(self) -> Mapping[str, Any]:
         """Return options to lay over the configured ones so that other processes make the very same model.
 

@@ -31,7 +31,7 @@ def basis_for(tagged_mesh: TaggedMesh, options: WindOptions) -> tuple[BasisStore
     Winds that wait are taken in here and nowhere else, so that a basis in use never changes. Raises ConfigurationError
     where the basis asked for by its digest is not there.
     """
-    store = BasisStore(cache_folder() / f"wind-basis-{key(tagged_mesh, options)}")
+    store = _store(tagged_mesh, options)
     if wanted := options.basis.digest:
         return store, wanted, store.load(wanted)
     # One thread, in this process as in others: the bits of a basis must not depend on the number of cores.
@@ -49,6 +49,16 @@ def basis_for(tagged_mesh: TaggedMesh, options: WindOptions) -> tuple[BasisStore
             for wind in waiting:  # only now: whoever is cut off before begins again
                 wind.path.unlink(missing_ok=True)
     return store, digest, basis
+
+
+def require_basis(tagged_mesh: TaggedMesh, options: WindOptions) -> None:
+    """Raise ConfigurationError where ``options`` name a basis that is not there for this mesh, or is damaged."""
+    if options.basis.digest:
+        _store(tagged_mesh, options).content(options.basis.digest)
+
+
+def _store(tagged_mesh: TaggedMesh, options: WindOptions) -> BasisStore:
+    return BasisStore(cache_folder() / f"wind-basis-{key(tagged_mesh, options)}")
 
 
 def _made(tagged_mesh: TaggedMesh, options: WindOptions, store: BasisStore) -> tuple[str, ReducedBasis]:

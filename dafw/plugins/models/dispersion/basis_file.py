@@ -15,6 +15,7 @@ import hashlib
 import io
 import logging
 import os
+import re
 import tempfile
 import time
 from collections.abc import Iterator
@@ -27,6 +28,9 @@ import numpy as np
 
 from dafw.core.errors import ConfigurationError
 from dafw.plugins.models.dispersion.reduced_flow import ReducedBasis
+
+DIGEST = re.compile("[0-9a-f]{32}")
+"""What names a basis."""
 
 log = logging.getLogger(__name__)
 
@@ -74,18 +78,28 @@ class BasisStore:
                 fcntl.flock(file, fcntl.LOCK_EX)
             yield
 
-    def load(self, digest: str) -> ReducedBasis:
-        """Return a basis by name; raises ConfigurationError where it is missing or damaged."""
+    def content(self, digest: str) -> bytes:
+        """Return a basis by name, as it lies on disk; raises ConfigurationError where it is missing or damaged."""
         path = self.folder / f"{digest}.npz"
+        if not DIGEST.fullmatch(digest) or not path.exists():
+            cache, what = self.folder.parent, "is not in the cache"
+            if DIGEST.fullmatch(digest) and any(cache.glob(f"*/{digest}.npz")):
+                what = "was made for another mesh or other wind options, says the cache"
+            raise ConfigurationError(
+                f"wind: the reduced basis {digest} {what} {cache}; leave basis.digest empty for the newest"
+            )
         try:
             content = path.read_bytes()
-        except OSError:
-            raise ConfigurationError(
-                f"wind: the reduced basis {digest} is not in the cache {self.folder.parent}; leave basis.digest empty "
-                "for the newest"
-            ) from None
+        except OSError as error:
+            raise ConfigurationError(f"wind: the reduced basis {path} cannot be read ({error.strerror})") from None
         if _digest(content) != digest:
             raise ConfigurationError(f"wind: the reduced basis {path} is damaged; delete it")
+        return content
+
+    def load(self, digest: str) -> ReducedBasis:
+        """Return a basis by name; raises ConfigurationError where it is missing or damaged."""
+        content = self.content(digest)
+        path = self.folder / f"{digest}.npz"
         with suppress(OSError):  # a cache that cannot be written to
             os.utime(path, ns=(time.time_ns(), path.stat().st_mtime_ns))
         with np.load(io.BytesIO(content)) as arrays:

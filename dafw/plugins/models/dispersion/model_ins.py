@@ -70,6 +70,17 @@ class AdvectionDiffusionINS(AdvectionDiffusion):
             raise ConfigurationError(f"{self.label}: {not_partitioned(self.wind.solver)}")
         super().share(communicator)
 
+    def require_available(self) -> None:
+        """Raise ConfigurationError where the reduced basis that is asked for by its digest cannot be had."""
+        if self.wind.solver != "newton":
+            from dafw.plugins.models.dispersion.basis_cache import require_basis
+
+            name = ("basis is there", self.tagged_mesh, repr(self.wind))
+            try:
+                self._shared.once(name, lambda: require_basis(self.tagged_mesh, self.wind))
+            except ConfigurationError as error:
+                raise ConfigurationError(f"{self.label}: {error}") from error
+
     @cached_property
     def _unit(self) -> Partition | Undivided:
         """From the unit winds in the memory, in the numbering of the whole mesh, to those of the solver."""

@@ -75,6 +75,18 @@ def test_a_basis_that_is_not_there_is_a_wrong_request(tmp_path):
         BasisStore(tmp_path).load("abc")
 
 
+def test_a_basis_of_another_key_is_not_taken_for_a_missing_one(tmp_path, basis):
+    digest = BasisStore(tmp_path / "wind-basis-one").save(basis)
+    with pytest.raises(ConfigurationError, match=f"{digest} was made for another mesh or other wind options"):
+        BasisStore(tmp_path / "wind-basis-two").load(digest)
+
+
+def test_a_name_that_leads_elsewhere_is_no_basis(tmp_path, basis):
+    digest = BasisStore(tmp_path / "wind-basis-one").save(basis)
+    with pytest.raises(ConfigurationError, match="is not in the cache"):
+        BasisStore(tmp_path / "wind-basis-two").load(f"../wind-basis-one/{digest}")
+
+
 def test_a_basis_asked_for_by_name_must_be_whole(tmp_path, basis):
     store = BasisStore(tmp_path)
     digest = store.save(basis)

@@ -6,6 +6,7 @@ import netCDF4
 import pytest
 from small_study import contents, small_study
 
+from dafw.core.errors import ConfigurationError
 from dafw.core.experiment import assemble
 from dafw.core.sharing import Shared
 from dafw.plugins.models.dispersion import model_ins
@@ -76,6 +77,26 @@ def test_the_digest_in_the_file_gives_the_run_again(study, tmp_path, executor):
     assert contents(tmp_path / "newer") != contents(tmp_path / "first")
     run_study(study(digest), tmp_path / "again")
     assert contents(tmp_path / "again") == contents(tmp_path / "first")
+
+
+@pytest.mark.parametrize("role", ["model", "truth"])
+def test_a_basis_that_is_not_there_is_refused_before_anything_is_made(study, tmp_path, role):
+    absent = "0" * 32
+    asked = study(absent) if role == "model" else study(truth={"wind": {"basis": {"digest": absent}}})
+    whose = "" if role == "model" else "truth: "
+    with pytest.raises(ConfigurationError, match=f"^{whose}model 'ad_ins': wind: the reduced basis {absent} is not in"):
+        run_study(asked, tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_damaged_basis_is_refused_before_anything_is_made(study, tmp_path):
+    parts, _ = assemble(study())
+    digest = parts.model.solver.digest
+    (file,) = (tmp_path / "cache").glob(f"*/{digest}.npz")
+    file.write_bytes(file.read_bytes()[:-1])
+    with pytest.raises(ConfigurationError, match="is damaged; delete it"):
+        run_study(study(digest), tmp_path / "run")
+    assert not (tmp_path / "run").exists()
 
 
 def test_a_model_that_leaves_nothing_open_has_nothing_pinned(study, tmp_path):
