@@ -23,6 +23,7 @@ from dafw.core.errors import ConfigurationError, about_member
 from dafw.core.interfaces import Model
 from dafw.core.options import option
 from dafw.core.rng import MemberStreams
+from dafw.core.sharing import Shared, shared
 from dafw.core.space import ANGLE, NONNEGATIVE, Array, StateSpace, Variable
 from dafw.plugins.models.dispersion.first_guess import draw_direction, draw_speed
 from dafw.plugins.models.dispersion.mesh import MeshOptions, TaggedMesh, generate, load, topology
@@ -63,6 +64,7 @@ class AdvectionDiffusion(Model):
     cutoff: float = option(1e-6, "concentrations up to this are set to zero before a step, where there is noise")
 
     _systems: dict[int, tuple[Array, TransportSystem]] = field(default_factory=dict, init=False, repr=False)
+    _shared: Shared = field(default_factory=shared, init=False, repr=False, compare=False)
     _communicator: Any = field(default=None, init=False, repr=False)
 
     @classmethod
@@ -86,7 +88,7 @@ class AdvectionDiffusion(Model):
     @cached_property
     def place(self) -> Site:
         """The site; raises SiteError."""
-        return load_site(self.site)
+        return self._shared.once(("site", repr(self.site)), lambda: load_site(self.site))
 
     @cached_property
     def ground(self) -> Site:
@@ -118,7 +120,8 @@ class AdvectionDiffusion(Model):
 
     @cached_property
     def _topology(self) -> tuple[Array, Any]:
-        return topology(self.tagged_mesh)
+        mesh = self.tagged_mesh
+        return self._shared.once(("topology", mesh), lambda: topology(mesh))
 
     @cached_property
     def space(self) -> StateSpace:  # type: ignore[override]  # made when first asked for

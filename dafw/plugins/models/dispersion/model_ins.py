@@ -12,7 +12,7 @@ memory of the run, so that nothing depends on what else ran in the process.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +21,6 @@ import numpy as np
 from dafw.core.ensemble import Diagnostic, Diagnostics, Memory
 from dafw.core.errors import ConfigurationError, SolverError, about_member
 from dafw.core.options import option
-from dafw.core.sharing import Shared, shared
 from dafw.core.space import Array
 from dafw.plugins.models.dispersion.model import AdvectionDiffusion
 from dafw.plugins.models.dispersion.partition import Partition, Undivided
@@ -46,8 +45,6 @@ class AdvectionDiffusionINS(AdvectionDiffusion):
     on_unsolved: str = option(
         "stop", "a wind that cannot be solved: stop, or keep the member's last good one", choices=("stop", "keep")
     )
-
-    _shared: Shared = field(default_factory=shared, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -9,7 +9,8 @@ from small_study import contents, small_study
 from dafw.core.errors import ConfigurationError
 from dafw.core.experiment import assemble
 from dafw.core.sharing import Shared
-from dafw.plugins.models.dispersion import model_ins
+from dafw.plugins.models.dispersion import model, model_ins
+from dafw.plugins.models.dispersion.site import load_site
 from dafw.running import run_study
 
 BASIS = {"directions": 4, "levels": 1, "max_intensity": 3.0, "modes": 20, "tolerance": 0.02}
@@ -41,6 +42,20 @@ def test_belief_truth_and_free_run_share_what_is_the_same(study):
     other, _ = assemble(study(truth={"wind": {"viscosity": 30.0}}))
     assert other.model.solver is not other.truth.solver
     assert other.model.solver.digest != other.truth.solver.digest
+
+
+def test_one_site_and_one_list_of_nodes_for_all(study, monkeypatch):
+    read = []
+    monkeypatch.setattr(model, "load_site", lambda options: read.append(options) or load_site(options))
+    parts, _ = assemble(study(solver="newton"))
+    assert len(read) == 1
+    assert parts.model.space.variables[0].coordinates is parts.free.space.variables[0].coordinates
+    finer = {"mesh": {"wall_size": 9.0}}
+    with pytest.raises(ConfigurationError, match="must agree"):
+        assemble(study(truth=finer, solver="newton"))  # the same site, another mesh
+    assert len(read) == 2
+    assemble(study(truth={"site": {"rim": 21.0}}, solver="newton"))
+    assert len(read) == 4
 
 
 def test_a_run_has_one_basis_and_the_next_the_newest(study):
