@@ -107,8 +107,8 @@ class AdvectionDiffusion(Model):
     @cached_property
     def part_mesh(self) -> TaggedMesh:
         """What the solvers work on: the mesh, or this rank's part of it."""
-        shared = self._communicator
-        return self.tagged_mesh if shared is None else _loaded(generate(self.ground, self.mesh), shared.handle)
+        whole, shared = self.tagged_mesh, self._communicator
+        return whole if shared is None else _loaded(whole.file, shared.handle)
 
     @cached_property
     def _nodes(self) -> Partition | Undivided:
