@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from dafw.core.errors import ConfigurationError, DafwError
-from dafw.mpirun import launched, together
+from dafw.mpirun import shares, together
 
 USAGE = """\
 usage: dafw COMMAND [...]
@@ -42,7 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         print(f"dafw {version('dafw')}")
         return 0
-    if launched()[1] > 1:
+    if shares(words):
         return together(lambda communicator: _ended(lambda: _run(words[1:], communicator)), words)
     commands: dict[str, Callable[[list[str]], int]] = {
         "run": _run,

@@ -1,4 +1,4 @@
-"""``mpirun -n N dafw run``: N processes share the domain of one run; rank 0 alone writes and speaks.
+"""``mpirun -n N dafw run``: N processes share the domain of one run; rank 0 alone writes and speaks. Or srun's tasks.
 
 Every rank runs the same cycles with the same random numbers. Loaded by every command, so nothing heavy here.
 """
@@ -13,21 +13,74 @@ import time
 import traceback
 import warnings
 from collections.abc import Callable, Sequence
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 PATIENCE = 10.0
 """Seconds for which a rank that failed waits for the others to come to an end, too; then it ends them."""
 FAREWELL = 1.0
 """Seconds that mpirun has to pass on a last message; ended at once, it may lose it."""
-LAUNCHERS = (("PMI_RANK", "PMI_SIZE"), ("OMPI_COMM_WORLD_RANK", "OMPI_COMM_WORLD_SIZE"))
+LAUNCHERS = (
+    ("mpirun", "PMI_RANK", "PMI_SIZE"),
+    ("mpirun", "OMPI_COMM_WORLD_RANK", "OMPI_COMM_WORLD_SIZE"),
+    ("srun", "SLURM_PROCID", "SLURM_STEP_NUM_TASKS"),
+)
+CGROUP = Path("/proc/self/cgroup")
+RANKS = ("PMI_RANK", "PMIX_RANK")
+"""What launchers may set and not say of how many: above 0 it is one of several, 0 may well be alone."""
 
 
-def launched() -> tuple[int, int]:
-    """Return this process's rank and how many mpirun started, by what it leaves in the environment; (0, 1) without."""
-    for rank, size in LAUNCHERS:
-        if os.environ.get(rank, "").isdigit() and os.environ.get(size, "").isdigit():
-            return int(os.environ[rank]), int(os.environ[size])
-    return 0, 1
+class Launch(NamedTuple):
+    """Who started this process, its rank, and how many there are; size 0: several, nothing says how many."""
+
+    launcher: str
+    rank: int
+    size: int
+
+
+ALONE = Launch("", 0, 1)
+
+
+def launched() -> Launch:
+    """Return how this process was started, by what launchers leave in the environment; rank 0 of 1 without any."""
+    for launcher, rank, size in LAUNCHERS:
+        if _number(rank) is not None and (several := _number(size)) is not None:
+            if launcher == "srun" and several > 1 and not _is_task():
+                return ALONE
+            return Launch(launcher, int(os.environ[rank]), several)
+    found = max((_number(name) or 0 for name in RANKS), default=0)
+    return Launch("mpirun", found, 0) if found else ALONE
+
+
+def _number(name: str) -> int | None:
+    value = os.environ.get(name, "")
+    return int(value) if value.isdigit() else None
+
+
+def _is_task() -> bool:
+    """Say whether a process of SLURM is what srun started.
+
+    A shell of ``srun --pty`` has variables of several tasks, too, but a terminal; a batch script may have been handed
+    down those of the shell it was submitted from.
+    """
+    try:
+        os.close(os.open("/dev/tty", os.O_RDONLY | os.O_NOCTTY))
+        return False
+    except OSError:
+        pass
+    try:
+        return "/step_batch" not in CGROUP.read_text()
+    except OSError:
+        return True
+
+
+def shares(words: Sequence[str]) -> bool:
+    """Say whether a command is to be run by several processes together, or refused by them.
+
+    srun alone starts any command once on every node; mpirun is for what is shared.
+    """
+    launch = launched()
+    return launch.size != 1 and (words[0] == "run" or launch.launcher != "srun")
 
 
 def together(command: Callable[[Any], tuple[int, str]], words: Sequence[str]) -> int:
@@ -35,7 +88,10 @@ def together(command: Callable[[Any], tuple[int, str]], words: Sequence[str]) ->
 
     ``command`` returns an exit status and a message; ``words`` are those of the command line, the first its name.
     """
-    rank, size = launched()
+    launcher, rank, size = launched()
+    if size == 0:
+        expected = f"expected the mpirun of dafw's own environment, or none of {', '.join(RANKS)} for a run alone"
+        return _say(2, f"rank {rank} of a launcher that says not how many processes there are: {expected}", rank - 1)
     if words[0] != "run":
         return _say(2, f"'dafw {words[0]}' works in one process: mpirun is for 'dafw run'", rank)
     with warnings.catch_warnings(action="ignore", category=RuntimeWarning):  # of another mpirun: said below
@@ -44,9 +100,10 @@ def together(command: Callable[[Any], tuple[int, str]], words: Sequence[str]) ->
     world = MPI.COMM_WORLD
     if world.size != size:
         vendor = " ".join(map(str, MPI.get_vendor()[:1]))
-        return _say(
-            2, f"mpirun started {size} processes, which see {world.size}: expected the mpirun of {vendor}", rank
-        )
+        expected = f"expected the mpirun of {vendor}"
+        if launcher == "srun":
+            expected += ", or for a run in each of them SLURM_STEP_NUM_TASKS unset"
+        return _say(2, f"{launcher} started {size} processes, which see {world.size}: {expected}", rank)
     endings = world.Dup()
     if rank > 0:
         logging.getLogger("dafw").addHandler(logging.NullHandler())
