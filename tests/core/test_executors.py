@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from processes import alive
 from trouble import Trouble
 
 import dafw
@@ -22,6 +21,7 @@ from dafw.core.ensemble import Diagnostic, Step
 from dafw.core.errors import SolverError
 from dafw.core.executors import EXECUTORS, make_executor
 from dafw.core.executors.batches import join, split
+from dafw.core.making import alive
 from dafw.core.rng import Streams
 from dafw.core.space import StateSpace, Variable
 

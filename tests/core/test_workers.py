@@ -10,9 +10,9 @@ from pathlib import Path
 
 import errands
 import pytest
-from processes import alive
 
 from dafw.core.errors import ComputationError, SolverError
+from dafw.core.making import alive
 from dafw.core.workers import Worker, outcome, share_out, spare_cores
 
 

@@ -16,7 +16,6 @@ import io
 import logging
 import os
 import re
-import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -27,6 +26,7 @@ from zipfile import BadZipFile
 import numpy as np
 
 from dafw.core.errors import ConfigurationError
+from dafw.core.making import making
 from dafw.plugins.models.dispersion.reduced_flow import ReducedBasis
 
 DIGEST = re.compile("[0-9a-f]{32}")
@@ -171,9 +171,8 @@ def _packed(**arrays: np.ndarray) -> bytes:
 def _place(path: Path, content: bytes) -> None:
     """Write beside and move into place; raises ConfigurationError where the cache cannot be written to."""
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=path.parent, prefix="making-") as folder:
-            made = Path(folder) / path.name
+        with making(path.parent) as folder:
+            made = folder / path.name
             with made.open("wb") as file:
                 file.write(content)
                 file.flush()

@@ -6,7 +6,6 @@ import hashlib
 import json
 import logging
 import os
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -16,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from dafw.core.errors import RequestError
+from dafw.core.making import making
 from dafw.core.options import option
 from dafw.plugins.models.dispersion.site import Site
 
@@ -68,9 +68,8 @@ def generate(site: Site, options: MeshOptions) -> Path:
         log.warning("mesh file %s is damaged: it is made anew", path)
     size = size_function(site, options)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=path.parent, prefix="making-") as folder:
-            made = Path(folder) / "mesh.msh"
+        with making(path.parent) as folder:
+            made = folder / "mesh.msh"
             with _gmsh() as gmsh:
                 _draw(gmsh, site)
                 gmsh.model.mesh.setSizeCallback(size)

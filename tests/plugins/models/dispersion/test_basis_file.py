@@ -16,7 +16,9 @@ from dafw.core.errors import ConfigurationError
 from dafw.plugins.models.dispersion import basis_file
 from dafw.plugins.models.dispersion.basis_cache import key
 from dafw.plugins.models.dispersion.basis_file import BasisStore
+from dafw.plugins.models.dispersion.mesh import MeshOptions, generate
 from dafw.plugins.models.dispersion.reduced_flow import ReducedBasis
+from dafw.plugins.models.dispersion.site import SiteOptions, load_site
 from dafw.plugins.models.dispersion.wind import BasisOptions, WindOptions
 from dafw.plugins.models.dispersion.wind_solvers import wind_solver
 
@@ -219,6 +221,27 @@ def test_two_processes_at_once_lose_nothing(tmp_path):
     )
     assert all((wind.velocity == wind.parameters[1]).all() for wind in winds)
     assert not list(tmp_path.glob("**/making-*"))
+
+
+def test_mesh_and_basis_tidy_up_after_the_dead(small_site, cache, basis):
+    store = BasisStore(cache / "wind-basis-one")
+    site, options = load_site(SiteOptions(**small_site)), MeshOptions(wall_size=20.0, far_size=40.0)
+    name = dead(cache).name
+    left = [store.folder / "waiting" / name, store.folder / name, cache / name]
+    for path in left:
+        path.mkdir(parents=True, exist_ok=True)
+    store.save(basis)
+    assert [path.exists() for path in left] == [False, False, True]
+    generate(site, options)
+    assert not left[2].exists()
+
+
+def dead(folder):
+    """Return what a process that was killed left in a folder."""
+    code = "import os, sys; from pathlib import Path; from dafw.core.making import making; "
+    code += "block = making(Path(sys.argv[1])); print(block.__enter__(), flush=True); os.kill(os.getpid(), 9)"
+    made = subprocess.run([sys.executable, "-c", code, str(folder)], capture_output=True, text=True, timeout=60)
+    return Path(made.stdout.strip())
 
 
 ENRICHING = """
