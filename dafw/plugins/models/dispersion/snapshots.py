@@ -110,7 +110,7 @@ def row(solver: WindSolver, direction: float) -> Snapshots:
             break
         start = found.unit
         reynolds = solver.reynolds(intensity)
-        if len(intensities) > 1:
+        if solver.options.closure == "constant":  # otherwise there is one R, and nothing beyond it
             beyond = np.sqrt(reynolds * solver.reynolds(intensities[-1])) / len(intensities)
         parameters.append((reynolds, direction))
         winds.append(solver.problem.velocity(start))

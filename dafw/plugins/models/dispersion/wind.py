@@ -179,7 +179,8 @@ class WindSolver:
     def derivatives(self, wind: WindSolution) -> tuple[np.ndarray, np.ndarray]:
         """Return the derivatives of the velocity of a unit wind, (2 m,) each, to R and to the direction.
 
-        Call it with the last solution: its last factorisation serves, so that they are exact up to Newton's last step.
+        Call it with the last solution: its last factorisation serves, so that they are exact up to Newton's last step;
+        a kept factorisation is some steps older, and they are off by some per cent.
         """
         problem, unit = self.problem, wind.unit
         fixed, _ = self.boundary.conditions(wind.direction)

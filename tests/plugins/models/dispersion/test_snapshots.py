@@ -17,7 +17,7 @@ from dafw.core.options import build as built
 from dafw.plugins.models.dispersion import snapshots as module
 from dafw.plugins.models.dispersion.model_ins import AdvectionDiffusionINS
 from dafw.plugins.models.dispersion.reduced_basis import build
-from dafw.plugins.models.dispersion.snapshots import snapshots
+from dafw.plugins.models.dispersion.snapshots import row, snapshots
 from dafw.plugins.models.dispersion.wind import BasisOptions, WindError, WindOptions, WindSolver
 
 BASIS = BasisOptions(directions=5, levels=2, max_intensity=4.0, modes=20)
@@ -31,6 +31,25 @@ def mesh(small_model):
 def with_cores(monkeypatch, count):
     monkeypatch.setattr(workers, "cores", lambda: count)
     monkeypatch.setattr(module, "SMALL", 0)
+
+
+@pytest.mark.parametrize("levels", [1, 2])
+def test_a_derivative_reaches_half_way_to_the_next_wind(mesh, levels):
+    basis = BasisOptions(directions=4, levels=levels, max_intensity=4.0)
+    solver = WindSolver(mesh, WindOptions(basis=basis, keep_factorisation=False))  # a kept one is of an earlier step
+    found = row(solver, 0.3)
+    by_reynolds = found.derivatives[:, -2]  # at the strongest wind
+    step = 1e-3
+    weaker, stronger = (solver.problem.velocity(solver.solve(4.0 * (1 + s), 0.3).unit) for s in (-step, step))
+    expected = (stronger - weaker) / (2 * step) / levels  # R d/dR, times the share of R that lies half a cell away
+    assert np.linalg.norm(by_reynolds - expected) < 1e-4 * np.linalg.norm(expected)
+
+
+def test_where_there_is_one_reynolds_number_nothing_lies_beyond_it(mesh):
+    options = WindOptions(closure="proportional", basis=BasisOptions(directions=4, levels=3))
+    found = row(WindSolver(mesh, options), 0.3)
+    assert found.derivatives.shape[1] == 2
+    assert not found.derivatives[:, 0].any() and found.derivatives[:, 1].any()
 
 
 def test_little_work_is_done_here(mesh, caplog):
