@@ -101,7 +101,7 @@ def _plugins(words: list[str]) -> int:
     asked = parser.parse_args(words)
     rows = []
     for plugin in registry().named(asked.name) if asked.name else registry().plugins():
-        row: dict[str, object] = {"kind": plugin.spec.kind, "name": plugin.spec.name, "package": plugin.package}
+        row: dict[str, Any] = {"kind": plugin.spec.kind, "name": plugin.spec.name, "package": plugin.package}
         row["summary"] = plugin.spec.summary
         if asked.name or asked.json:
             try:
@@ -115,7 +115,7 @@ def _plugins(words: list[str]) -> int:
         return 0
     for row in rows:
         print(f"{row['kind']:<9} {row['name']:<12} {row['summary']}  [{row['package']}]")
-        for option in row.get("options", []):  # type: ignore[attr-defined]
+        for option in row.get("options", []):
             print(f"    {option['name']}: {option['type']} = {option['default']}    {option['help']}")
         if "problem" in row:
             print(f"    {row['problem']}")

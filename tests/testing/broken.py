@@ -1,5 +1,7 @@
 """Plugins that are right but for one thing, each caught by the check that is named after its key."""
 
+# ruff: noqa: N803, N806  (R, the letter of the formulas)
+
 from __future__ import annotations
 
 import os
@@ -78,7 +80,7 @@ class FreshEntropy(Moved):
 @breaks("own_generator")
 class GlobalGenerator(Moved):
     def move(self, members, forecast, observation):
-        return members + 0.0 * np.random.standard_normal()  # noqa: NPY002
+        return members + 0.0 * np.random.standard_normal()  # noqa: NPY002  (what is wrong with it)
 
 
 @breaks("told_covariance")
@@ -104,10 +106,10 @@ class TrustsTheFirstReading(ETKF):
     accuracy = "none"
 
     def analyse(self, forecast, predicted, observation, rng):
-        R = observation.covariance  # noqa: N806
+        R = observation.covariance
         trust = 1.0 + np.arange(len(R))
         mean = predicted.mean(axis=0)
-        R = R * trust if R.ndim == 1 else R * np.sqrt(np.outer(trust, trust))  # noqa: N806
+        R = R * trust if R.ndim == 1 else R * np.sqrt(np.outer(trust, trust))
         weights, matrix = transform(predicted - mean, observation.values - mean, R)
         return Analysis(forecast.space.retract(forecast.mean, (weights + matrix) @ forecast.anomalies))
 
@@ -154,8 +156,8 @@ class CappedRadius(ETKF):
     def analyse(self, forecast, predicted, observation, rng):
         distance = np.linalg.norm(observation.operator.coordinates, axis=1)
         grown = np.exp((distance / min(self.radius, 100.0)) ** 2 / 4.0)
-        R = observation.covariance  # noqa: N806
-        R = R * grown if R.ndim == 1 else R * np.sqrt(np.outer(grown, grown))  # noqa: N806
+        R = observation.covariance
+        R = R * grown if R.ndim == 1 else R * np.sqrt(np.outer(grown, grown))
         mean = predicted.mean(axis=0)
         weights, matrix = transform(predicted - mean, observation.values - mean, R)
         return Analysis(forecast.space.retract(forecast.mean, (weights + matrix) @ forecast.anomalies))
@@ -274,7 +276,7 @@ class Ends(Observer):
         return Selection(indices=np.array([0, 11]), covariance=np.array([0.01, 0.01]))
 
 
-def own(apply, R=(0.01, 0.01)):  # noqa: N803
+def own(apply, R=(0.01, 0.01)):
     made = type("Made", (ObservationOperator,), {"apply": lambda self, members: apply(members)})
     return made(covariance=np.array(R))
 

@@ -12,7 +12,7 @@ class Nudging(Filter):
     """As good as its one number."""
 
     accuracy = "none"
-    expected_failures = {"prior_kept": "nudging does not ask how good the readings are"}  # noqa: RUF012
+    expected_failures = {"prior_kept": "nudging does not ask how good the readings are"}  # noqa: RUF012  (as plainly as authors write)
 
     strength: float = option(0.3, "share of the misfit that is taken away", minimum=0.0, maximum=1.0)
 

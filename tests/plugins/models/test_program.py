@@ -6,6 +6,7 @@ import os
 import sys
 import time
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -130,9 +131,8 @@ def _runs(process: int) -> bool:
     """Say whether a process still runs; a moment is granted for the signal to arrive."""
     for _ in range(50):
         try:
-            with open(f"/proc/{process}/stat") as file:  # noqa: PTH123
-                if file.read().rpartition(")")[2].split()[0] == "Z":
-                    return False
+            if Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] == "Z":
+                return False
         except FileNotFoundError:
             return False
         time.sleep(0.1)

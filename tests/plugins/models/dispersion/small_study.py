@@ -1,6 +1,4 @@
-"""A study around the tank of conftest.py, and what is in the file of its run."""
-
-import netCDF4
+"""A study around the tank of conftest.py."""
 
 from dafw.core.experiment import study_from
 
@@ -24,14 +22,3 @@ def small_study(model, truth, executor, **changes):
             **changes,
         }
     )
-
-
-def contents(folder):
-    """Return the bits of everything in a run's file but the times that it took."""
-    with netCDF4.Dataset(folder / "run.nc") as file:
-        file.set_auto_mask(False)
-        return {
-            name: variable[...].tobytes()
-            for name, variable in file.variables.items()
-            if variable.dtype is not str and name != "phase_seconds"
-        }

@@ -4,7 +4,8 @@ import json
 
 import netCDF4
 import pytest
-from small_study import contents, small_study
+from run_files import contents
+from small_study import small_study
 
 from dafw.core.errors import ConfigurationError
 from dafw.core.experiment import assemble

@@ -2,7 +2,8 @@
 
 import netCDF4
 import pytest
-from small_study import contents, small_study
+from run_files import contents
+from small_study import small_study
 
 from dafw.running import run_study
 
