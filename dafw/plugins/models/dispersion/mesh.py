@@ -16,7 +16,7 @@ import numpy as np
 
 from dafw.core.errors import RequestError
 from dafw.core.making import making
-from dafw.core.options import option
+from dafw.plugins.models.dispersion.mesh_options import MeshOptions
 from dafw.plugins.models.dispersion.site import Site
 
 OUTER, WALL = 1, 2
@@ -30,17 +30,6 @@ log = logging.getLogger(__name__)
 
 class MeshError(RequestError):
     """A mesh cannot be made as asked for, or a mesh file cannot be used."""
-
-
-@dataclass
-class MeshOptions:
-    """How long the sides of the triangles are."""
-
-    wall_size: float = option(16.0, "m; side of the triangles at the walls of buildings", above=0.0)
-    far_size: float = option(24.0, "m; side of the triangles far from any wall", above=0.0)
-    transition: float = option(100.0, "m; from a wall to where the far size is reached", above=0.0)
-    across: int = option(2, "triangles across a passage, down to a quarter of the wall size", minimum=1)
-    max_nodes: int = option(1_000_000, "refuse a mesh that would have more nodes than about this", minimum=1)
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,8 @@ from dafw.core.rng import MemberStreams
 from dafw.core.sharing import Shared, shared
 from dafw.core.space import ANGLE, NONNEGATIVE, Array, StateSpace, Variable
 from dafw.plugins.models.dispersion.first_guess import draw_direction, draw_speed
-from dafw.plugins.models.dispersion.mesh import MeshOptions, TaggedMesh, generate, load, topology
+from dafw.plugins.models.dispersion.mesh import TaggedMesh, generate, load, topology
+from dafw.plugins.models.dispersion.mesh_options import MeshOptions
 from dafw.plugins.models.dispersion.partition import Partition, Undivided, nearest
 from dafw.plugins.models.dispersion.site import Site, SiteOptions, load_site
 from dafw.plugins.models.dispersion.transport import Transport, TransportOptions, TransportSystem

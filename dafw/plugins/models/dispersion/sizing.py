@@ -9,14 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 import shapely
 
-if TYPE_CHECKING:
-    from dafw.plugins.models.dispersion.mesh import MeshOptions
-    from dafw.plugins.models.dispersion.site import Site
+from dafw.plugins.models.dispersion.mesh_options import MeshOptions
+from dafw.plugins.models.dispersion.site import Site
 
 SMALLEST = 1 / 4
 """Of the wall size: narrow passages get no smaller triangles than that."""

@@ -16,7 +16,8 @@ from dafw.core.errors import ConfigurationError
 from dafw.plugins.models.dispersion import basis_file
 from dafw.plugins.models.dispersion.basis_cache import key
 from dafw.plugins.models.dispersion.basis_file import BasisStore
-from dafw.plugins.models.dispersion.mesh import MeshOptions, generate
+from dafw.plugins.models.dispersion.mesh import generate
+from dafw.plugins.models.dispersion.mesh_options import MeshOptions
 from dafw.plugins.models.dispersion.reduced_flow import ReducedBasis
 from dafw.plugins.models.dispersion.site import SiteOptions, load_site
 from dafw.plugins.models.dispersion.wind import BasisOptions, WindOptions

@@ -23,11 +23,11 @@ from dafw.plugins.models.dispersion.mesh import (
     OUTER,
     WALL,
     MeshError,
-    MeshOptions,
     generate,
     load,
     topology,
 )
+from dafw.plugins.models.dispersion.mesh_options import MeshOptions
 from dafw.plugins.models.dispersion.site import Site, SiteOptions, load_site
 from dafw.plugins.models.dispersion.sizing import demands, expected_nodes, size_function
 
