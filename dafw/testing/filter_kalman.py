@@ -7,7 +7,7 @@ import numpy as np
 from dafw.core.interfaces import Filter
 from dafw.testing.checks import ConformanceError, Factory, NotApplicable, check
 from dafw.testing.evidence import require_close, require_mean
-from dafw.testing.filter_checks import ROUNDING, SEEDS, analysed, declines, moments, unlocalized
+from dafw.testing.filter_trials import ROUNDING, SEEDS, analysed, declines, moments, unlocalized
 from dafw.testing.problems import kalman, linear_problem, prior
 
 ACCURACIES = ("exact", "statistical", "none")
