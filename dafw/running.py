@@ -7,8 +7,7 @@ import logging
 import math
 import platform
 import sys
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from time import perf_counter
@@ -17,12 +16,13 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
-from dafw.core.cycle import Cycle, Parts, State, advance, start
+from dafw.core.cycle import Parts, State, advance, start
 from dafw.core.ensemble import Vehicle
 from dafw.core.errors import ConfigurationError, DafwError, RecordError, RunError
 from dafw.core.experiment import Study, assemble
 from dafw.core.files import claim, write_whole
 from dafw.core.record import Record
+from dafw.reporting import log_domain, log_file, postfix, progress, sentence
 from dafw.stopping import Interrupted, Stop, stop_signals
 
 log = logging.getLogger("dafw")
@@ -44,7 +44,7 @@ def run_study(study: Study, folder: Path, communicator: Any = None) -> dict[str,
     folder.mkdir(parents=True, exist_ok=True)
     run = _Run(study, folder, begun, communicator)
     # Bits that do not depend on the number of cores; and small matrices are quicker without threads.
-    with _log_file(folder / "run.log"), stop_signals() as stop, threadpool_limits(limits=1, user_api="blas"):
+    with log_file(folder / "run.log"), stop_signals() as stop, threadpool_limits(limits=1, user_api="blas"):
         try:
             with parts.executor:
                 run.cycles(parts, vehicle, stop)
@@ -110,7 +110,7 @@ class _Run:
         self.pinned = _pinned(parts)
         self.seconds["set-up"] = perf_counter() - self.begun
         stop.patient = True
-        _log_domain(parts)
+        log_domain(parts)
         self.record = Record(
             self.folder / "run.nc",
             parts,
@@ -126,7 +126,7 @@ class _Run:
             },
         )
         logged = 0.0
-        with _progress(self.study.cycles) as bar:
+        with progress(self.study.cycles) as bar:
             for _ in range(self.study.cycles):
                 cycle = advance(parts, state)
                 recorded = perf_counter()
@@ -139,8 +139,8 @@ class _Run:
                     log.warning("t = %g s: %s", state.belief.ensemble.time, note)
                 if perf_counter() - logged > LOG_SECONDS or self.done == self.study.cycles:
                     logged = perf_counter()
-                    log.info("%s", _sentence(cycle, self.scores))
-                bar.set_postfix_str(_postfix(state, self.scores), refresh=False)
+                    log.info("%s", sentence(cycle, self.scores))
+                bar.set_postfix_str(postfix(state, self.scores), refresh=False)
                 bar.update()
                 if perf_counter() - self.noted > SUMMARY_SECONDS:
                     self.noted = perf_counter()
@@ -225,33 +225,6 @@ def _parameters(parts: Parts, state: State) -> dict[str, dict[str, float]]:
     return listed
 
 
-def _sentence(cycle: Cycle, scores: Mapping[str, float]) -> str:
-    positions = ", ".join(f"({x:.1f}, {y:.1f})" for x, y in cycle.state.vehicle.positions)
-    return (
-        f"t = {cycle.state.belief.ensemble.time:g} s: ERR {scores['err']:.2f} %, free run {scores['err_free']:.2f} %, "
-        f"{cycle.observation.values.size} readings" + (f", at {positions}" if positions else "")
-    )
-
-
-def _postfix(state: State, scores: Mapping[str, float]) -> str:
-    positions = " ".join(f"({x:.0f}, {y:.0f})" for x, y in state.vehicle.positions[:2])
-    return f"ERR {scores['err']:.1f} % {positions}".strip()
-
-
-def _log_domain(parts: Parts) -> None:
-    for note in parts.model.notes():
-        log.info("%s", note)
-    log.info("state: %r", parts.model.space)
-    if parts.model.domain is not None:
-        log.info("domain: %s m, %d obstacles", parts.model.domain.bounds, len(parts.model.domain.obstacles))
-
-
-def _progress(total: int) -> Any:
-    from tqdm import tqdm
-
-    return tqdm(total=total, unit="cycle", disable=None, file=sys.stderr, dynamic_ncols=True)
-
-
 def _draw(folder: Path) -> None:
     from dafw.core.runs import open_run
     from dafw.figures import draw_all
@@ -263,22 +236,6 @@ def _draw(folder: Path) -> None:
     except DafwError as error:
         log.warning("a picture cannot be drawn: %s", error)
         print(f"dafw: the run is complete, but a picture cannot be drawn: {error}", file=sys.stderr)
-
-
-@contextmanager
-def _log_file(path: Path) -> Iterator[None]:
-    """Write dafw's log into the run's folder, and warnings to standard error as well."""
-    handler = logging.FileHandler(path, encoding="utf-8")
-    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
-    previous = log.level
-    log.addHandler(handler)
-    log.setLevel(logging.INFO)
-    try:
-        yield
-    finally:
-        log.removeHandler(handler)
-        log.setLevel(previous)
-        handler.close()
 
 
 def run(overrides: list[str] | None = None) -> Any:
