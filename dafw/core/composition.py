@@ -129,6 +129,10 @@ def explained(error: BaseException) -> ConfigurationError:
         last = str(key).rpartition(".")[2]
         if last not in names and last != "name":
             return OptionError(f"unknown option '{key}' (accepted: {', '.join(names) or 'none'})")
+        if re.search("is not Optional", lines[0]):
+            return OptionError(f"option '{key}' must have a value, got null")
+        if group := re.search(r"is not a subclass of \w+\. value: (.*)", lines[0]):
+            return OptionError(f"'{key}' is a group of options, expected {key}.OPTION=VALUE, got {group[1]}")
         return OptionError(f"option '{key}': {lines[0]}")
     if missing := re.search(r"Could not find '(\w+)/([^']+)'", str(root)):
         return ConfigurationError(_unknown_choice(missing[1], missing[2], getattr(root, "options", None)))

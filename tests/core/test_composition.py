@@ -52,6 +52,13 @@ def test_one_word_changes_the_filter():
         (["+truth.wind_sped=3"], "truth: model 'ad_ins': unknown option 'wind_sped'"),
         (["truth.transport.diffusion=-1"], "at least 0"),
         (["model.wind.closure=magic"], "one of constant, proportional"),
+        (["model.wind.solver=null"], "^option 'model.wind.solver' must have a value, got null$"),
+        (
+            ["model.wind.basis=newest"],
+            "^'model.wind.basis' is a group of options, expected .*OPTION=VALUE, got newest$",
+        ),
+        (["model.wind.basis.directions=1"], "'directions' must be at least 4, got 1"),
+        (["model.wind.basis.tolerance=5"], "'tolerance' must be at most 1.0, got 5.0"),
         (["vehicle.start=[[1,2,3]]"], "vehicle.start must be"),
         (["policy.theta=abc"], "theta must be a number"),
         (["observer=composite"], "at least one observer"),

@@ -80,18 +80,19 @@ class BasisStore:
 
     def content(self, digest: str) -> bytes:
         """Return a basis by name, as it lies on disk; raises ConfigurationError where it is missing or damaged."""
-        path = self.folder / f"{digest}.npz"
-        if not DIGEST.fullmatch(digest) or not path.exists():
-            cache, what = self.folder.parent, "is not in the cache"
-            if DIGEST.fullmatch(digest) and any(cache.glob(f"*/{digest}.npz")):
-                what = "was made for another mesh or other wind options, says the cache"
-            raise ConfigurationError(
-                f"wind: the reduced basis {digest} {what} {cache}; leave basis.digest empty for the newest"
-            )
+        path, cache = self.folder / f"{digest}.npz", self.folder.parent
         try:
-            content = path.read_bytes()
+            content = path.read_bytes() if DIGEST.fullmatch(digest) else None
+        except (FileNotFoundError, NotADirectoryError):
+            content = None
         except OSError as error:
             raise ConfigurationError(f"wind: the reduced basis {path} cannot be read ({error.strerror})") from None
+        if content is None:
+            others = DIGEST.fullmatch(digest) and any(cache.glob(f"*/{digest}.npz"))
+            what = "is one of another mesh or of other wind options in" if others else "is not in"
+            raise ConfigurationError(
+                f"wind: the reduced basis {digest} {what} the cache {cache}; leave basis.digest empty for the newest"
+            )
         if _digest(content) != digest:
             raise ConfigurationError(f"wind: the reduced basis {path} is damaged; delete it")
         return content
@@ -107,14 +108,13 @@ class BasisStore:
 
     def newest(self) -> tuple[str, ReducedBasis] | None:
         """Return the newest basis and its digest, None where there is none; where it is damaged, the log says so."""
-        pointer = self.folder / "current"
-        if not pointer.exists():
-            return None
-        digest = pointer.read_text(encoding="utf-8", errors="replace").strip()
         try:
+            digest = (self.folder / "current").read_text(encoding="utf-8", errors="replace").strip()
             return digest, self.load(digest)
-        except ConfigurationError as error:
-            log.warning("%s: it is made anew", error)
+        except FileNotFoundError:
+            return None
+        except (ConfigurationError, OSError) as error:
+            log.warning("reduced basis: it is made anew (%s)", error)
             return None
 
     def save(self, basis: ReducedBasis) -> str:
@@ -152,7 +152,8 @@ class BasisStore:
                     raise ValueError(f"expected {size} numbers, got shape {wind.velocity.shape}")
             except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
                 log.warning("reduced basis: %s cannot be used (%s) and is removed", path, error)
-                path.unlink(missing_ok=True)
+                with suppress(OSError):  # a folder, or another user's
+                    path.unlink()
                 continue
             found.append(wind)
         return found

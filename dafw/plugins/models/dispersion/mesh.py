@@ -51,10 +51,13 @@ def generate(site: Site, options: MeshOptions) -> Path:
 
     _check(site, options)
     path = cache_folder() / f"mesh-{_digest(site, options)}.msh"
-    if path.exists():
-        if _is_whole(path):
-            return path
-        log.warning("mesh file %s is damaged: it is made anew", path)
+    try:
+        if path.exists():
+            if _is_whole(path):
+                return path
+            log.warning("mesh file %s is damaged: it is made anew", path)
+    except OSError as error:
+        raise MeshError(f"mesh: cannot read {path} ({error.strerror}); DAFW_CACHE moves the cache") from None
     size = size_function(site, options)
     try:
         with making(path.parent) as folder:

@@ -33,7 +33,10 @@ class BasisOptions:
     max_intensity: float = option(12.0, "m/s; the strongest wind it is made from", above=0.0)
     modes: int = option(160, "modes kept; an enriched basis has more", minimum=1)
     tolerance: float = option(
-        0.01, "estimated relative L2 error of the velocity above which the full equations are solved", above=0.0
+        0.01,
+        "estimated relative L2 error of the velocity above which the full equations are solved",
+        above=0.0,
+        maximum=1.0,
     )
     digest: str = option("", "the basis to use, as an earlier run recorded it; empty: the newest")
 

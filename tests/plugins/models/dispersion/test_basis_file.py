@@ -80,7 +80,7 @@ def test_a_basis_that_is_not_there_is_a_wrong_request(tmp_path):
 
 def test_a_basis_of_another_key_is_not_taken_for_a_missing_one(tmp_path, basis):
     digest = BasisStore(tmp_path / "wind-basis-one").save(basis)
-    with pytest.raises(ConfigurationError, match=f"{digest} was made for another mesh or other wind options"):
+    with pytest.raises(ConfigurationError, match=f"{digest} is one of another mesh or of other wind options"):
         BasisStore(tmp_path / "wind-basis-two").load(digest)
 
 
@@ -97,6 +97,18 @@ def test_a_basis_asked_for_by_name_must_be_whole(tmp_path, basis):
     file.write_bytes(file.read_bytes()[:-1])
     with pytest.raises(ConfigurationError, match=f"the reduced basis .*{digest}.npz is damaged; delete it"):
         store.load(digest)
+
+
+def test_a_basis_that_cannot_be_read_says_why(tmp_path):
+    (tmp_path / f"{32 * 'a'}.npz").mkdir()
+    with pytest.raises(ConfigurationError, match=r"a.npz cannot be read \(Is a directory\)$"):
+        BasisStore(tmp_path).load(32 * "a")
+
+
+def test_where_it_cannot_be_read_which_is_the_newest_there_is_none(tmp_path, caplog):
+    (tmp_path / "current").mkdir()
+    assert BasisStore(tmp_path).newest() is None
+    assert "it is made anew" in caplog.text and "Is a directory" in caplog.text
 
 
 def test_old_bases_that_nobody_used_for_weeks_go(tmp_path, basis, caplog):
@@ -191,10 +203,11 @@ def test_a_wind_that_cannot_be_read_is_put_away(block, cache, caplog):
     waiting = only_folder(cache) / "waiting"
     waiting.mkdir()
     (waiting / "half.npz").write_bytes(b"PK\x03\x04 half a file")
+    (waiting / "folder.npz").mkdir()
     BasisStore(only_folder(cache)).submit(0.1, 0.2, np.zeros(3))
     assert wind_solver(block, OPTIONS).digest == digest
-    assert not list(waiting.iterdir())
-    assert caplog.text.count("cannot be used") == 2
+    assert [path.name for path in waiting.iterdir()] == ["folder.npz"]  # which is none of ours
+    assert caplog.text.count("cannot be used") == 3
 
 
 WORKER = """

@@ -223,6 +223,14 @@ def test_a_damaged_file_is_refused_by_load_and_made_anew_by_generate(damage, cap
     assert "is damaged: it is made anew" in caplog.text
 
 
+def test_a_file_that_cannot_be_read_says_why():
+    path = generate(BLOCKS, SMALL)
+    path.unlink()
+    path.mkdir()
+    with pytest.raises(MeshError, match=r"^mesh: cannot read .*\.msh \(Is a directory\); DAFW_CACHE moves the cache$"):
+        generate(BLOCKS, SMALL)
+
+
 def test_gmsh_leaves_no_trace(capfd, monkeypatch):
     import gmsh
 
