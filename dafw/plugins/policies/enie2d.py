@@ -36,9 +36,11 @@ def sector_scores(
     tr(A_q A_q^T) / (N - 1) is the sum of the variances.
     """
     angle = np.arctan2(coordinates[:, 1] - position[1], coordinates[:, 0] - position[0])
-    angle = np.where(angle < 0.0, angle + TWO_PI, angle)
-    edges = np.arange(1, n_sectors) * TWO_PI / n_sectors
-    sector = edges.searchsorted(angle, side="right")
+    angle += TWO_PI * (angle < 0.0)
+    sector = np.zeros(len(angle), dtype=np.intp)
+    # Angles in no order make a search for the sector guess wrong: comparing all with each edge is quicker.
+    for edge in np.arange(1, n_sectors) * TWO_PI / n_sectors:
+        sector += angle >= edge
     nodes = np.bincount(sector, minlength=n_sectors)
     total_variance = np.bincount(sector, variance, minlength=n_sectors)
     total_mean = np.bincount(sector, mean, minlength=n_sectors)
