@@ -137,16 +137,20 @@ def advance(parts: Parts, state: State) -> Cycle:
         operator = parts.observer.look(parts.model.space, route, belief.ensemble.time)
         noise = colour(operator.noise, noise_rng.standard_normal(operator.size))
     with clock.phase("forecast", parts.model):
-        errors, members, now = streams.members("model error", cycle), belief.ensemble.members, belief.ensemble.time
-        stepped = parts.executor.submit(parts.model, members, belief.memory, now, errors)
-    # While workers are at it, this process has the truth and the free run.
+        now, errors = belief.ensemble.time, streams.members("model error", cycle)
+        belief_step = parts.executor.submit(parts.model, belief.ensemble.members, belief.memory, now, errors)
+    # While workers are at it, this process has the truth and the free run. All steps come before the checks: a step
+    # sweeps the processor's caches, and what stands between two of them runs from memory.
     with clock.phase("truth", parts.truth):
-        truth = parts.truth.forecast(truth.ensemble, truth.memory, streams.members("truth error", cycle))
+        now, errors = truth.ensemble.time, streams.members("truth error", cycle)
+        truth_step = parts.truth.step_with_memory(truth.ensemble.members, truth.memory, now, errors)
     if parts.free and free:
         with clock.phase("free", parts.free):
             free = parts.free.forecast(free.ensemble, free.memory, streams.members("free error", cycle))
+    with clock.phase("truth", parts.truth):
+        truth = parts.truth.stepped(truth.ensemble, truth_step)
     with clock.phase("forecast", parts.model):
-        forecast = parts.model.forecast(belief.ensemble, belief.memory, errors, stepped)
+        forecast = parts.model.stepped(belief.ensemble, belief_step())
     with clock.phase("observe", parts.observer):
         readings = parts.observer.read(operator, truth.ensemble)[0] + noise
         observation = Observation(readings, operator, forecast.ensemble.time)

@@ -10,7 +10,7 @@ name ends in ``_with_memory``; one that does not never hears of it. Random numbe
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from itertools import pairwise, starmap
 from math import dist
 from typing import Any, ClassVar
@@ -88,18 +88,12 @@ class Model(Plugin):
         members = self.checked(self.initial(n_members, rng), (n_members, self.space.size), "initial members")
         return Forecast(Ensemble(members, self.space), self.initial_memory(members))
 
-    def forecast(
-        self,
-        ensemble: Ensemble,
-        memory: Memory | None,
-        rng: MemberStreams,
-        stepped: Callable[[], Step] | None = None,
-    ) -> Forecast:
-        """Step the ensemble by dt; raises ContractError where shape or numbers are not as agreed.
+    def forecast(self, ensemble: Ensemble, memory: Memory | None, rng: MemberStreams) -> Forecast:
+        """Step the ensemble by dt; raises ContractError where shape or numbers are not as agreed."""
+        return self.stepped(ensemble, self.step_with_memory(ensemble.members, memory, ensemble.time, rng))
 
-        ``stepped`` gives the step where an executor has it done.
-        """
-        step = stepped() if stepped else self.step_with_memory(ensemble.members, memory, ensemble.time, rng)
+    def stepped(self, ensemble: Ensemble, step: Step) -> Forecast:
+        """Check and wrap what a step of the ensemble gave, whoever took it; raises ContractError."""
         members = self.checked(step.members, ensemble.members.shape, "members after a step")
         self.checked_diagnostics(step.diagnostics)
         return Forecast(Ensemble(members, self.space, ensemble.time + self.dt), step.memory, step.diagnostics)

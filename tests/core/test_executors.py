@@ -48,8 +48,8 @@ def walk(executor, steps=3, **options):
         running.start(model, {"name": "trouble", **options})
         for cycle in range(steps):
             rng, ensemble = streams.members("error", cycle), forecast.ensemble
-            stepped = running.submit(model, ensemble.members, forecast.memory, ensemble.time, rng)
-            forecast = model.forecast(ensemble, forecast.memory, rng, stepped)
+            step = running.submit(model, ensemble.members, forecast.memory, ensemble.time, rng)
+            forecast = model.stepped(ensemble, step())
             done.append(forecast)
     return done
 
