@@ -176,6 +176,8 @@ class Meddling(Nudge):
         ({"model": Mutating()}, ComputationError, "model 'Mutating' raised ValueError.*read-only"),
         ({"model": Broken()}, ComputationError, "at t = 0 s, phase 'forecast': model 'Broken' raised.*pump failed"),
         ({"truth": Broken()}, ComputationError, "phase 'truth'"),
+        ({"truth": NotANumber()}, ContractError, "phase 'truth': model 'NotANumber'.*holds nan"),
+        ({"free": NotANumber()}, ContractError, "phase 'free': model 'NotANumber'.*holds nan"),
         ({"policy": Teleporting()}, ContractError, "policy 'Teleporting': vehicle 0 would fly 100 m, it can fly 2 m"),
         ({"policy": Forgetful()}, ContractError, "1 vehicles, but 0 paths"),
         ({"policy": Absent()}, ContractError, "does not begin at"),
