@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 
 from benchmarks import Measurement, benchmark
-from benchmarks.wind import case, draws, timed
+from benchmarks.wind import UNSEEN, case, draws, timed
 from dafw.plugins.models.dispersion.mesh import TaggedMesh
-from dafw.plugins.models.dispersion.transport import Transport, TransportOptions, TransportSystem
+from dafw.plugins.models.dispersion.transport import Transport, TransportOptions
+from dafw.plugins.models.dispersion.transport_system import TransportSystem
 
 
 @benchmark("ad.step_over_scratch")
@@ -50,6 +51,31 @@ def step_over_scratch(short: bool) -> Measurement:
         "median_ms_solve_new_kept_scratch": (1e3 * np.median([solve, new, kept, dear], axis=1)).round(2).tolist(),
     }
     return Measurement(float(np.median((new + 3.0 * kept) / 4.0 / dear)), "of the time from scratch", 0.25, detail)
+
+
+@benchmark("ad.two_precisions")
+def two_precisions(short: bool) -> Measurement:
+    """What the single precision of small modes changes in a step of two clouds, of the largest concentration."""
+    from dafw.plugins.models.dispersion.reduced_advection import ReducedAdvection
+
+    measured = case(short)
+    transport = Transport(measured.tagged_mesh, TransportOptions(tolerance=1e-13), 1.0)
+    quick = ReducedAdvection(transport, measured.reduced)
+    exact = ReducedAdvection(transport, measured.reduced, accepted=0.0)
+    distances = ((transport.places - transport.places.mean(axis=0)) ** 2).sum(axis=1)
+    clouds = [np.exp(-(distances - distances.min()) / (2.0 * radius**2)) for radius in (10.0, 60.0)]
+    system, differences = None, []
+    for intensity, direction in draws(4 if short else UNSEEN, measured.options.basis.max_intensity):
+        unit = measured.reduced.solve(intensity, direction).unit
+        if not quick.holds(unit):
+            continue
+        after = []
+        for advection in (exact, quick):
+            system = transport.system_of(advection.matrix(unit, intensity), system)
+            after.append(np.array([system.step(cloud) for cloud in clouds]))
+        differences.append((np.abs(after[1] - after[0]).max(axis=1) / after[0].max(axis=1)).max())
+    detail = {"winds": len(differences), "median": float(np.median(differences)), "in_double": quick.leading}
+    return Measurement(float(np.max(differences)), "of the largest concentration", 1e-8, detail)
 
 
 class FromScratch:

@@ -30,7 +30,8 @@ from dafw.plugins.models.dispersion.mesh import TaggedMesh, generate, load, topo
 from dafw.plugins.models.dispersion.mesh_options import MeshOptions
 from dafw.plugins.models.dispersion.partition import Partition, Undivided, nearest
 from dafw.plugins.models.dispersion.site import Site, SiteOptions, load_site
-from dafw.plugins.models.dispersion.transport import Transport, TransportOptions, TransportSystem
+from dafw.plugins.models.dispersion.transport import Transport, TransportOptions
+from dafw.plugins.models.dispersion.transport_system import TransportSystem
 
 
 @lru_cache(maxsize=4)

@@ -25,7 +25,7 @@ from dafw.core.space import Array
 from dafw.plugins.models.dispersion.model import AdvectionDiffusion
 from dafw.plugins.models.dispersion.partition import Partition, Undivided
 from dafw.plugins.models.dispersion.site import Site
-from dafw.plugins.models.dispersion.transport import TransportSystem
+from dafw.plugins.models.dispersion.transport_system import TransportSystem
 from dafw.plugins.models.dispersion.wind import WindOptions, WindSolver, require_uniform
 from dafw.plugins.models.dispersion.wind_solvers import not_partitioned, wind_solver
 

@@ -14,6 +14,7 @@ from dafw.plugins.models.dispersion import libraries  # noqa: F401  (before dolf
 import numpy as np
 from dolfinx import fem, la
 from petsc4py import PETSc
+from scipy.sparse import csr_matrix
 
 
 class Sparsity:
@@ -40,6 +41,10 @@ class Sparsity:
     def shape(self) -> tuple[int, int]:
         """Owned rows, and columns with ghosts."""
         return self.size, self._columns.size_local + self._columns.num_ghosts
+
+    def csr(self, values: np.ndarray) -> Any:
+        """Return the SciPy matrix of CSR ``values``, which it shares."""
+        return csr_matrix((values, self.indices, self.indptr), shape=self.shape)
 
     def assemble(self, form: Any) -> np.ndarray:
         """Return the CSR values of a form in the owned rows: a view, until the next call."""

@@ -12,15 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from dafw.core.errors import ContractError, SolverError
 from dafw.core.options import option
 from dafw.plugins.models.dispersion.mesh import OUTER, TaggedMesh
+from dafw.plugins.models.dispersion.transport_system import TransportSystem
 
-STRONG = 12.0
-"""A wind is strong where the entries beside the diagonal add up to so many times the one on it in one row of twenty.
-
-Below, BiCGStab with ILU mostly takes ten iterations or fewer; not far above it fails, and a sparse LU is quicker.
-"""
 SYSTEMS_BYTES = 2e9
 """Memory of one process for the systems of its members, about."""
 
@@ -78,29 +73,22 @@ class Transport:
         self.nodes = self.sparsity.size
         self.indptr, self.indices, rows = self.sparsity.indptr, self.sparsity.indices, self.sparsity.rows
         self.places: np.ndarray = self._space.tabulate_dof_coordinates()[: self.nodes, : mesh.geometry.dim]
-        self._mass, self._stiffness = self._assemble(mass), self._assemble(stiffness)
         outer = fem.locate_dofs_topological(self._space, mesh.topology.dim - 1, tagged_mesh.facet_tags.find(OUTER))
         self.outer = outer[outer < self.nodes]
         fixed = np.zeros(self.nodes, dtype=bool)
         fixed[self.outer] = True
-        self._fixed_entries = fixed[rows] | self.sparsity.with_ghosts(fixed)[self.indices]
-        self._fixed_diagonal = fixed[rows] & (rows == self.indices)
-        self._diagonal = np.flatnonzero(rows == self.indices)
-
-    def is_strong(self, after: np.ndarray) -> bool:
-        """Say whether the wind of a matrix (CSR values) is too strong for an iteration; the same on all ranks."""
-        from dafw.plugins.models.dispersion.sparsity import total
-
-        diagonal = np.abs(after[self._diagonal])
-        beside = np.add.reduceat(np.abs(after), self.indptr[:-1]) - diagonal
-        counts = np.array([np.count_nonzero(beside > STRONG * diagonal), self.nodes])
-        strong, nodes = total(self.sparsity.comm, counts)
-        return bool(20 * strong > nodes)
+        self.row_starts, self.diagonal = self.indptr[:-1].astype(np.intp), np.flatnonzero(rows == self.indices)
+        self.fixed_entries = np.flatnonzero(fixed[rows] | self.sparsity.with_ghosts(fixed)[self.indices])
+        self.fixed_diagonal = self.diagonal[self.outer]
+        # of a step without wind: the matrices on the old and on the new concentration
+        self._before = self.sparsity.csr(self._assemble(mass) / dt)
+        self.calm = self._before.data + options.diffusion * self._assemble(stiffness)
 
     @property
     def systems_kept(self) -> int:
         """For how many members a process keeps a system of its own; the others share one."""
-        bytes_of_one = 80 * self.indices.size  # measured: 60 with incomplete factors, 100 where the wind is strong
+        # measured: 40 after weak winds, 70 to 110 after stronger ones, too, 100 after strong ones, 160 after all
+        bytes_of_one = 100 * self.indices.size
         return max(1, int(SYSTEMS_BYTES / bytes_of_one))
 
     def _intrinsic_time(self, mesh: Any) -> Any:
@@ -130,11 +118,13 @@ class Transport:
         advection = self.advection(velocity)
         if self._advected_mass is None:
             return self.system_of(advection, reuse)
-        return self._system(advection, (self._mass + self._assemble(self._advected_mass)) / self.dt, reuse)
+        advected_mass = self._assemble(self._advected_mass) / self.dt
+        before = self.sparsity.csr(self._before.data + advected_mass)
+        return self._system(advection + advected_mass, before, reuse)
 
     def system_of(self, advection: np.ndarray, reuse: TransportSystem | None = None) -> TransportSystem:
         """Return the steps in one wind from its advection matrix; in Galerkin's scheme that is all there is of it."""
-        return self._system(advection, self._mass / self.dt, reuse)
+        return self._system(advection, self._before, reuse)
 
     def advection(self, velocity: Any) -> np.ndarray:
         """Return the advection matrix of a wind as CSR values on (``indptr``, ``indices``).
@@ -145,108 +135,10 @@ class Transport:
         self._velocity.x.scatter_forward()
         return self._assemble(self._advection)
 
-    def _system(self, advection: np.ndarray, before: np.ndarray, reuse: TransportSystem | None) -> TransportSystem:
-        after = before + self.options.diffusion * self._stiffness + advection
-        after[self._fixed_entries] = 0.0
-        after[self._fixed_diagonal] = 1.0
+    def _system(self, added: np.ndarray, before: Any, reuse: TransportSystem | None) -> TransportSystem:
         system = reuse or TransportSystem(self)
-        system.change(after, before)
+        system.change(added, before)
         return system
 
     def _assemble(self, form: Any) -> np.ndarray:
         return self.sparsity.assemble(form).copy()
-
-
-class TransportSystem:
-    """Steps of the transport in one wind, its matrix and preconditioner kept: made by ``Transport.system``."""
-
-    def __init__(self, transport: Transport):
-        from petsc4py import PETSc
-        from scipy.sparse import csr_matrix
-
-        self._transport = transport
-        sparsity = transport.sparsity
-        self._values = np.zeros(transport.indices.size)
-        self._before = csr_matrix((self._values.copy(), transport.indices, transport.indptr), shape=sparsity.shape)
-        self._after = sparsity.petsc(self._values)
-        solver: Any = PETSc.KSP().create(sparsity.comm)
-        solver.setType("bcgs")
-        solver.setPCSide(PETSc.PC.Side.RIGHT)  # so that the norm watched is that of the true residual
-        solver.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
-        # Without fill, a strong wind can keep BiCGStab from converging.
-        solver.getPC().setType("ilu" if sparsity.comm.size == 1 else "bjacobi")
-        solver.getPC().setFactorLevels(1)
-        solver.setInitialGuessNonzero(True)
-        options = transport.options
-        solver.setTolerances(rtol=options.tolerance, atol=0.0, max_it=options.max_iterations)
-        self._solver: Any = solver
-        self._direct: Any = None
-        self._strong = False
-        self._right, self._left = self._after.createVecRight(), self._after.createVecLeft()
-
-    def change(self, after: np.ndarray, before: np.ndarray) -> None:
-        """Take the CSR values of the matrices on the new (``after``) and on the old (``before``) concentration."""
-        self._values[:] = after
-        self._before.data[:] = before
-        self._transport.sparsity.refresh(self._after, self._values)
-        if self._direct is not None:
-            self._direct.destroy()  # by all ranks together: dropped, its factors would stay on several
-            self._direct = None
-        self._strong = self._transport.is_strong(after)
-        if self._strong:
-            return
-        self._solver.setOperators(self._after)
-        self._solver.setUp()  # what depends on the pattern alone is done the first time
-        if self._transport.sparsity.comm.size > 1:
-            for block in self._solver.getPC().getBJacobiSubKSP():
-                block.getPC().setType("ilu")
-                block.getPC().setFactorLevels(1)
-
-    @property
-    def solved_directly(self) -> bool:
-        """Whether the wind is too strong for an iteration."""
-        return self._strong
-
-    def step(self, concentration: np.ndarray, source: np.ndarray | None = None) -> np.ndarray:
-        """Return the concentration (nodes,) one time step later.
-
-        ``source`` (nodes,) is the rate f at the end of the step, in concentration per second. Raises SolverError where
-        the tolerance is not reached and ContractError where an array has another shape.
-        """
-        transport = self._transport
-        for array in (concentration,) if source is None else (concentration, source):
-            if array.shape != (transport.nodes,):
-                raise ContractError(f"transport: expected {transport.nodes} nodal values, got shape {array.shape}")
-        supplied = concentration if source is None else concentration + transport.dt * source
-        self._left.array[:] = self._before @ transport.sparsity.with_ghosts(supplied)
-        self._left.array[transport.outer] = 0.0
-        self._right.array[:] = concentration
-        self._right.array[transport.outer] = 0.0
-        if not self._strong:
-            self._solver.solve(self._left, self._right)
-        if self._strong or self._solver.getConvergedReason() <= 0:
-            self._solve_directly()
-        return self._right.array.copy()
-
-    def _solve_directly(self) -> None:
-        """Solve with a sparse LU, made once per wind."""
-        from petsc4py import PETSc
-
-        if self._direct is None:
-            self._direct = PETSc.KSP().create(self._transport.sparsity.comm)
-            self._direct.setOperators(self._after)
-            self._direct.setType("preonly")
-            self._direct.getPC().setType("lu")
-            self._direct.getPC().setFactorSolverType("mumps")
-        self._direct.solve(self._left, self._right)
-        missed = self._left.duplicate()
-        self._after.mult(self._right, missed)
-        missed.aypx(-1.0, self._left)
-        # What round-off leaves grows with the matrix: the backward error is what a direct solve can be held to.
-        scale = self._left.norm() + self._after.norm(PETSc.NormType.NORM_INFINITY) * self._right.norm()
-        residual, tolerance = missed.norm(), self._transport.options.tolerance
-        if not residual <= tolerance * scale:
-            raise SolverError(
-                f"transport: a direct solve left a residual of {residual:.3g}, expected at most {tolerance:.3g} times "
-                f"{scale:.3g}"
-            )

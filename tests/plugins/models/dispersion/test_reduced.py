@@ -213,7 +213,7 @@ def test_accelerated_winds_are_those_of_newton(block, solver, reference):
 
 def test_advection_in_a_reduced_wind_is_a_sum_of_matrices(block, solver):
     transport = Transport(block, TransportOptions(), 1.0)
-    advection = ReducedAdvection(transport, solver)
+    advection = ReducedAdvection(transport, solver, accepted=0.0)
     found = solver.solve(2.5, 4.0)
     assert advection.holds(found.unit)
     assembled = transport.advection(solver.velocity(found))
@@ -223,6 +223,21 @@ def test_advection_in_a_reduced_wind_is_a_sum_of_matrices(block, solver):
     np.testing.assert_allclose(
         transport.system_of(summed).step(cloud), transport.system(solver.velocity(found)).step(cloud), atol=1e-10
     )
+
+
+def test_single_precision_of_small_modes_is_not_seen_in_concentrations(block, solver):
+    transport = Transport(block, TransportOptions(), 1.0)
+    exact, quick = ReducedAdvection(transport, solver, accepted=0.0), ReducedAdvection(transport, solver)
+    rows, cloud = transport.sparsity.rows, np.random.default_rng(0).uniform(size=transport.nodes)
+    for wind in ((0.3, 1.1), (2.5, 4.0), (4.9, 5.9)):
+        unit = solver.solve(*wind).unit
+        wanted, found = exact.matrix(unit, wind[0]), quick.matrix(unit, wind[0])
+        assert not np.array_equal(found, wanted)
+        np.testing.assert_allclose(found, wanted, atol=1e-7 * np.abs(wanted).max())
+        np.testing.assert_allclose(np.bincount(rows, found), 0.0, atol=1e-13 * np.abs(wanted).max())
+        np.testing.assert_allclose(
+            transport.system_of(found).step(cloud), transport.system_of(wanted).step(cloud), atol=1e-8
+        )
 
 
 def test_proportional_closure_needs_one_parameter(block, tmp_path, monkeypatch):

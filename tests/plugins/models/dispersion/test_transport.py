@@ -12,6 +12,7 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.linalg import spsolve
 
 from dafw.core.errors import ContractError, SolverError
+from dafw.plugins.models.dispersion import transport_system
 from dafw.plugins.models.dispersion.mesh import OUTER
 from dafw.plugins.models.dispersion.transport import Transport, TransportOptions
 from dafw.plugins.models.dispersion.wind import WindOptions, WindSolver
@@ -210,8 +211,8 @@ def test_what_the_iteration_cannot_do_is_solved_directly(block, around_block):
     assert system._solver.getConvergedReason() <= 0
 
 
-@pytest.mark.parametrize("speed, strong", [(1.0, False), (200.0, True)])
-def test_a_strong_wind_is_solved_directly_from_the_start(block, speed, strong):
+@pytest.mark.parametrize("speed, strength", [(1.0, 0), (10.0, 1), (200.0, 2)])
+def test_the_solver_suits_the_wind_from_the_start(block, speed, strength):
     transport = Transport(block, TransportOptions(), 1.0)
     c = bell(nodes_of(block), [27.0, 52.0], 4.0)
     system = transport.system(transport.uniform_velocity(speed, 0.3))
@@ -220,14 +221,28 @@ def test_a_strong_wind_is_solved_directly_from_the_start(block, speed, strong):
     matrix, right = csr_matrix((values, indices, indptr)), system._before @ c
     right[transport.outer] = 0.0
     assert np.linalg.norm(matrix @ after - right) <= 1e-12 * np.linalg.norm(right)
-    assert system.solved_directly is strong
+    assert system.strength == strength and system.solved_directly is (strength == 2)
+
+
+@pytest.mark.parametrize("bound, strength", [(2.5, 1), (12.0, 2)])
+def test_a_wind_is_beyond_a_bound_in_one_row_of_twenty(block, bound, strength):
+    """What is beside the diagonal adds up to just more or just less than the bound, in just enough or too few rows."""
+    transport = Transport(block, TransportOptions(), 1.0)
+    counts = np.diff(transport.indptr) - 1
+    rows = np.repeat(np.arange(transport.nodes), counts + 1)
+    least = transport.nodes // 20 + 1
+    for times, enough, expected in ((1.01, 0, strength), (0.99, 0, strength - 1), (1.01, 1, 0)):
+        beyond = np.arange(transport.nodes) < least - enough
+        values = (np.where(beyond, -times * bound, 0.0) / counts)[rows]
+        values[transport.diagonal] = -1.0
+        assert transport_system.strength(transport, values) == expected
 
 
 def test_a_system_goes_from_weak_to_strong_winds_and_back(block):
     transport = Transport(block, TransportOptions(), 1.0)
     c = bell(nodes_of(block), [27.0, 52.0], 4.0)
     system = None
-    for speed in (1.0, 200.0, 1.0, 150.0, 200.0):
+    for speed in (1.0, 200.0, 1.0, 150.0, 10.0, 1.0, 200.0, 10.0):
         wind = transport.uniform_velocity(speed, 0.3)
         system = transport.system(wind, system)
         assert np.array_equal(system.step(c), transport.system(wind).step(c))
