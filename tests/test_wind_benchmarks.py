@@ -17,6 +17,7 @@ NAMES = [
     "wind.reduced_error_median",
     "wind.reduced_error_p95",
     "ad.step_over_scratch",
+    "ad.two_precisions",
     "wind.cylinder_drag_error",
     "wind.proportional_share_reduced",
     "wind.proportional_share_accelerated",

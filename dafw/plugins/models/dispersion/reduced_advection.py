@@ -13,8 +13,8 @@ import numpy as np
 
 from dafw.plugins.models.dispersion.transport import Transport
 
-ACCEPTED = 5e-9
-"""Concentrations then agree to about as much of the largest one: docs/fast-winds.md."""
+ACCEPTED = 1e-8
+"""Concentrations then agree to less than that of the largest one: docs/fast-winds.md."""
 COLUMNS = 4
 """BLAS adds up so many columns at a time; one, two or three more take longer than four."""
 
@@ -46,9 +46,9 @@ class ReducedAdvection:
         largest[2:] *= np.abs(basis.coefficients).max(axis=0)
         rounded = np.finfo(np.float32).epsneg * largest
         self.leading = leading = whole(1 + int(np.flatnonzero(rounded > accepted * largest[:2].max())[-1]))
-        self._leading = matrices[:, :leading].copy(order="F")
+        self._double = matrices[:, :leading].copy(order="F")
         # the last first: what is summed up in single precision stays small for as long as can be
-        self._others = matrices[:, : leading - 1 : -1].astype(np.float32, order="F")
+        self._single = matrices[:, : leading - 1 : -1].astype(np.float32, order="F")
 
     def holds(self, unit: np.ndarray) -> bool:
         """Say whether a unit wind (n + 1,) is one of the reduced basis."""
@@ -58,8 +58,8 @@ class ReducedAdvection:
         """Return the CSR values for a unit wind (n + 1,) of the reduced basis and its intensity in m/s."""
         used = whole(1 + int(np.flatnonzero(unit[:-1])[-1]))  # the first so many modes, where they did
         leading, others = np.split(intensity * unit[:-1][:used], [self.leading])
-        values: np.ndarray = self._leading[:, : leading.size] @ leading
-        values += self._others[:, self._others.shape[1] - others.size :] @ others[::-1].astype(np.float32)
+        values: np.ndarray = self._double[:, : leading.size] @ leading
+        values += self._single[:, self._single.shape[1] - others.size :] @ others[::-1].astype(np.float32)
         values[self._diagonal] -= np.add.reduceat(values, self._row_starts)
         return values
 
