@@ -109,8 +109,8 @@ class AdvectionDiffusion(Model):
     @cached_property
     def part_mesh(self) -> TaggedMesh:
         """What the solvers work on: the mesh, or this rank's part of it."""
-        whole, shared = self.tagged_mesh, self._communicator
-        return whole if shared is None else _loaded(whole.file, shared.handle)
+        whole, communicator = self.tagged_mesh, self._communicator
+        return whole if communicator is None else _loaded(whole.file, communicator.handle)
 
     @cached_property
     def _nodes(self) -> Partition | Undivided:
