@@ -14,7 +14,7 @@ unset PYTHONHOME
 here=$(CDPATH='' cd -- "$(dirname -- "$0")" && pwd -P)
 environment=$here/.venv
 
-# What a bare Debian or Ubuntu may lack; dafw/doctor.py knows what each is for and which of them are missing.
+# What a bare Debian or Ubuntu may lack; dafw/commands/doctor.py knows what each is for and which of them are missing.
 debian_packages="python3-venv python3-dev gcc libc6-dev libgl1 libglu1-mesa libgomp1 libxcursor1 libxft2 libxinerama1"
 
 say() { echo "dafw: $*" >&2; }
@@ -91,9 +91,9 @@ prepare() ( # a subshell: the command starts where the caller stands; descriptor
     "$uv" pip install --quiet --python "$environment/bin/python" --no-deps --no-build-isolation -e . ||
         die 1 "dafw itself could not be installed (see above)"
     rm .uv/building
-    missing=$("$environment/bin/python" dafw/doctor.py --packages)
+    missing=$("$environment/bin/python" dafw/commands/doctor.py --packages)
     if [ -n "$missing" ]; then install_system_packages "$missing"; fi
-    report=$("$environment/bin/python" dafw/doctor.py --system) || die 2 "the system is not ready:
+    report=$("$environment/bin/python" dafw/commands/doctor.py --system) || die 2 "the system is not ready:
 $report"
     stamp >"$environment/stamp.new"
     mv "$environment/stamp.new" "$environment/stamp"

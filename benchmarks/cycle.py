@@ -22,7 +22,7 @@ from dafw.core.composition import compose, study_part
 from dafw.core.cycle import Parts, State, advance, start
 from dafw.core.experiment import assemble, study_from
 from dafw.core.record import Record
-from dafw.running import run_study
+from dafw.studies.running import run_study
 
 PAPER = ("experiment=enie2d_paper", "pictures=false")
 SMALL = (

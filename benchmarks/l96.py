@@ -20,7 +20,7 @@ from dafw.core.composition import compose, study_part
 from dafw.core.errors import ComputationError
 from dafw.core.experiment import study_from
 from dafw.core.runs import open_run
-from dafw.running import run_study
+from dafw.studies.running import run_study
 
 DAPPER = "dapper==1.8.1"
 DIVERGED = 1.0  # an RMSE of the analysis above the readings' own error

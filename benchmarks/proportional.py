@@ -18,7 +18,7 @@ from benchmarks.wind import SEED, cache, case
 from dafw.core.composition import compose, study_part
 from dafw.core.experiment import study_from
 from dafw.plugins.models.dispersion.wind import WindOptions, WindSolver
-from dafw.running import run_study
+from dafw.studies.running import run_study
 
 PROPORTIONAL = ("model.wind.closure=proportional", "executor=serial")
 TOY = ("model.wind.basis.directions=4", "model.wind.basis.modes=20", "model.wind.basis.tolerance=1")

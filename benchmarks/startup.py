@@ -21,7 +21,7 @@ def _seconds(command: tuple[str, ...]) -> float:
 
 def _against_base(short: bool, *words: str) -> Measurement:
     """Time ``dafw WORDS`` and the imports alternately; the value is the median of the ratios."""
-    command = (sys.executable, "-m", "dafw.cli", *words)
+    command = (sys.executable, "-m", "dafw", *words)
     for warming in (BASE, command):
         _seconds(warming)
     pairs = [(_seconds(BASE), _seconds(command)) for _ in range(1 if short else 15)]

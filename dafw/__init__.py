@@ -9,6 +9,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from dafw.authoring.function import model_from_function
+    from dafw.authoring.program import ProgramModel
     from dafw.core.domain import Domain
     from dafw.core.ensemble import Analysis, Diagnostic, Ensemble, Route, Step, Vehicle
     from dafw.core.errors import (
@@ -28,9 +30,7 @@ if TYPE_CHECKING:
     from dafw.core.options import option
     from dafw.core.runs import open_run
     from dafw.core.space import ANGLE, FIELD, NONNEGATIVE, StateSpace, Variable
-    from dafw.plugins.models.function import model_from_function
-    from dafw.plugins.models.program import ProgramModel
-    from dafw.running import run
+    from dafw.studies.running import run
 
 _HOMES = {
     "dafw.core.domain": ("Domain",),
@@ -52,9 +52,9 @@ _HOMES = {
     "dafw.core.options": ("option",),
     "dafw.core.runs": ("open_run",),
     "dafw.core.space": ("ANGLE", "FIELD", "NONNEGATIVE", "StateSpace", "Variable"),
-    "dafw.plugins.models.function": ("model_from_function",),
-    "dafw.plugins.models.program": ("ProgramModel",),
-    "dafw.running": ("run",),
+    "dafw.authoring.function": ("model_from_function",),
+    "dafw.authoring.program": ("ProgramModel",),
+    "dafw.studies.running": ("run",),
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 

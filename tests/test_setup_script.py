@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from dafw import doctor
+from dafw.commands import doctor_findings
 
 CHECKOUT = Path(__file__).resolve().parents[1]
 TOOLS = ["sh", "cat", "cksum", "dirname", "echo", "env", "flock", "ln", "mkdir", "mv", "rm", "sed", "sleep", "true"]
@@ -23,7 +23,7 @@ for last in "$@"; do :; done
 if [ "$1" = venv ]; then mkdir -p "$last/bin"; ln -s {sys.executable} "$last/bin/python"; fi
 """
 
-# Stands for dafw/doctor.py: the file `lacking` beside it holds the packages that the system lacks.
+# Stands for dafw/commands/doctor.py: the file `lacking` beside it holds the packages that the system lacks.
 DOCTOR = """
 import sys, pathlib
 lacking = pathlib.Path(__file__).with_name("lacking").read_text()
@@ -37,13 +37,13 @@ class World:
 
     def __init__(self, folder: Path):
         self.checkout, self.bin, self.log = folder / "check out", folder / "bin", folder / "log"
-        (self.checkout / "dafw").mkdir(parents=True)
+        (self.checkout / "dafw" / "commands").mkdir(parents=True)
         self.bin.mkdir()
         shutil.copy(CHECKOUT / "setup.sh", self.checkout)
         self.write("requirements.lock", "numpy==2\n")
         self.write("pyproject.toml", "[project]\n")
-        self.write("dafw/doctor.py", DOCTOR)
-        self.write("dafw/lacking", "")
+        self.write("dafw/commands/doctor.py", DOCTOR)
+        self.write("dafw/commands/lacking", "")
         for tool in TOOLS:
             if path := shutil.which(tool):
                 (self.bin / tool).symlink_to(path)
@@ -197,7 +197,7 @@ def test_a_bare_machine_without_rights_gets_the_one_command(world):
 
 @pytest.mark.parametrize("user", ["0", "1000"])
 def test_lacking_system_packages_are_installed_where_that_asks_no_password(world, user):
-    world.write("dafw/lacking", "gcc libxft2")
+    world.write("dafw/commands/lacking", "gcc libxft2")
     world.command("id", f"echo {user}")
     world.command("sudo", '[ "$1" = -n ] && shift && exec "$@"')
     world.command("apt-get", 'echo "apt-get $*" >>"$LOG"')
@@ -205,12 +205,12 @@ def test_lacking_system_packages_are_installed_where_that_asks_no_password(world
     assert (status, out) == (2, "") and "MISSING gcc libxft2" in err, "the pretended doctor goes on complaining"
     assert "installing system packages: gcc libxft2" in err
     assert world.calls("install -y --no-install-recommends gcc libxft2") == 1
-    world.write("dafw/lacking", "")
+    world.write("dafw/commands/lacking", "")
     assert world.run("echo", "now")[:2] == (0, "now\n")
 
 
 def test_lacking_packages_on_another_system_are_named(world):
-    world.write("dafw/lacking", "gcc")
+    world.write("dafw/commands/lacking", "gcc")
     status, _, err = world.run()
     assert status == 2 and "package manager" in err.splitlines()[-1] and "gcc" in err.splitlines()[-1]
 
@@ -218,7 +218,7 @@ def test_lacking_packages_on_another_system_are_named(world):
 def test_setup_installs_all_that_the_doctor_may_name():
     listed = re.search(r'debian_packages="([^"]*)"', (CHECKOUT / "setup.sh").read_text())
     assert listed
-    expected = {"python3-venv", "python3-dev", *doctor.COMPILER_PACKAGES, *doctor.LIBRARIES.values()}
+    expected = {"python3-venv", "python3-dev", *doctor_findings.COMPILER_PACKAGES, *doctor_findings.LIBRARIES.values()}
     assert set(listed[1].replace("\\\n", "").split()) == expected
 
 

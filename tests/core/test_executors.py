@@ -16,7 +16,7 @@ from trouble import Trouble
 
 import dafw
 from dafw import ComputationError, ConfigurationError, ContractError, DafwError, Ensemble
-from dafw.cli import main
+from dafw.commands import main
 from dafw.core.ensemble import Diagnostic, Step
 from dafw.core.errors import SolverError
 from dafw.core.executors import EXECUTORS, make_executor
@@ -234,7 +234,7 @@ LORENZ = ["experiment=lorenz96", "pictures=false", "hydra.run.dir=run"]
     ],
 )
 def test_no_worker_outlives_its_run(tmp_path, number, whom, executor):
-    words = [sys.executable, "-m", "dafw.cli", "run", *LORENZ, f"executor={executor}", "executor.workers=2"]
+    words = [sys.executable, "-m", "dafw", "run", *LORENZ, f"executor={executor}", "executor.workers=2"]
     run = subprocess.Popen(
         [*words, "cycles=1000000"],
         cwd=tmp_path,
@@ -283,7 +283,7 @@ def test_the_command_gives_the_same_file_and_says_where_members_were_stepped(tmp
 
 
 def test_a_sweep_side_by_side_ends_like_any_other(tmp_path):
-    words = [sys.executable, "-m", "dafw.cli", "run", "-m", "hydra/launcher=cores", "hydra.launcher.n_jobs=2"]
+    words = [sys.executable, "-m", "dafw", "run", "-m", "hydra/launcher=cores", "hydra.launcher.n_jobs=2"]
     words += [LORENZ[0], LORENZ[1], "cycles=2", "seed=0,1", "hydra.sweep.dir='a sweep'", "hydra.sweep.subdir=${seed}"]
     sweep = tmp_path / "a sweep"
     (sweep / "0").mkdir(parents=True)

@@ -21,7 +21,7 @@ from mpi4py import MPI
 from scipy.spatial import KDTree
 from shared_domain import results
 
-from dafw.cli import main
+from dafw.commands import main
 from dafw.core.errors import ConfigurationError
 from dafw.core.experiment import assemble, study_from
 from dafw.core.options import build
@@ -168,7 +168,7 @@ def folder(small_model, tmp_path_factory):
     return made
 
 
-RUN = ["-m", "dafw.cli", "run", "--config-dir", "my", "experiment=small"]
+RUN = ["-m", "dafw", "run", "--config-dir", "my", "experiment=small"]
 
 
 def test_a_run_of_two_ranks_is_that_of_one_process(folder, monkeypatch, capsys):
@@ -217,14 +217,14 @@ def test_a_study_that_cannot_be_shared_is_refused(changes, message):
 
 TROUBLE = """\
 import os, sys
-import dafw.mpirun
-from dafw.cli import main
+import dafw.commands.mpirun
+from dafw.commands import main
 from dafw.plugins.models.dispersion.newton import Newton
 
 def fail(self, *arguments):
     raise MemoryError("no room")
 
-dafw.mpirun.PATIENCE = 0.5
+dafw.commands.mpirun.PATIENCE = 0.5
 if os.environ["PMI_RANK"] == "1":
     Newton.factorise = fail
 sys.exit(main(sys.argv[1:]))
@@ -266,13 +266,14 @@ def test_a_rank_looks_the_mesh_up_once(options, monkeypatch):
 
 
 def test_other_commands_are_refused_by_one_rank_and_load_no_mpi(folder):
-    code = "import sys; from dafw.cli import main; print(main(['plugins']), 'mpi4py' in sys.modules)"
+    code = "import sys; from dafw.commands import main; print(main(['plugins']), 'mpi4py' in sys.modules)"
     ended = mpiexec("-c", code, cwd=folder)
     assert ended.stdout.splitlines() == ["2 False", "2 False"]
     assert ended.stderr == "dafw: 'dafw plugins' works in one process: mpirun is for 'dafw run'\n"
 
 
 def test_a_single_process_never_asks_for_mpi_where_it_need_not(folder):
-    code = "import sys; from dafw.cli import main; main(['--help']); main(['plugins']); print('mpi4py' in sys.modules)"
+    code = "import sys; from dafw.commands import main; main(['--help']); main(['plugins']); "
+    code += "print('mpi4py' in sys.modules)"
     ended = subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, timeout=60)
     assert ended.stdout.splitlines()[-1] == "False"

@@ -12,7 +12,7 @@ from dafw.core.experiment import assemble
 from dafw.core.sharing import Shared
 from dafw.plugins.models.dispersion import model, model_ins
 from dafw.plugins.models.dispersion.site import load_site
-from dafw.running import run_study
+from dafw.studies.running import run_study
 
 BASIS = {"directions": 4, "levels": 1, "max_intensity": 3.0, "modes": 20, "tolerance": 0.02}
 

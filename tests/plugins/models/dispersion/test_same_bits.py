@@ -5,7 +5,7 @@ import pytest
 from run_files import contents
 from small_study import small_study
 
-from dafw.running import run_study
+from dafw.studies.running import run_study
 
 
 @pytest.fixture(scope="module")

@@ -126,7 +126,7 @@ def test_a_run_that_is_stopped_while_it_makes_its_basis_leaves_no_process(tmp_pa
     long = ["model.wind.solver=reduced", "model.wind.basis.directions=2000", "model.wind.basis.levels=9"]
     words = ["run", "experiment=enie2d", *mesh, *long]
     run = subprocess.Popen(
-        [sys.executable, "-m", "dafw.cli", *words],
+        [sys.executable, "-m", "dafw", *words],
         cwd=tmp_path,
         env={**os.environ, "DAFW_CACHE": str(tmp_path / "cache")},
         stdout=subprocess.PIPE,

@@ -1,0 +1,136 @@
+"""What a check is, how checks are run, and what comes of them.
+
+A check is a function that gets a factory of fresh plugins and raises where the plugin does not do what its interface
+promises. Its name is the function's name, its reason the docstring; docs/conformance.md has a section for each.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from time import perf_counter
+from typing import Any
+
+from dafw.core.errors import ComputationError
+from dafw.core.hookspecs import PluginSpec
+from dafw.core.plugin import Plugin
+from dafw.core.registry import registry
+
+type Factory = Callable[[], Any]
+
+PASSED, FAILED, SKIPPED = "passed", "failed", "not applicable"
+EXPECTED, UNEXPECTED = "expected failure", "unexpected pass"
+
+
+class ConformanceError(ComputationError):
+    """A plugin does not do what its interface promises; the message names plugin, check and what was found."""
+
+
+class NotApplicable(Exception):  # noqa: N818  # says so, and is no error
+    """Raised by a check that means nothing for this plugin, with the reason."""
+
+
+@dataclass(frozen=True)
+class Check:
+    """One check of one kind of plugin."""
+
+    kind: str
+    name: str
+    reason: str
+    run: Callable[[Factory], None]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a check: ``status`` and, except where it passed, why."""
+
+    check: Check
+    status: str
+    detail: str = ""
+    seconds: float = 0.0
+
+    @property
+    def ok(self) -> bool:
+        """Whether nothing needs mending."""
+        return self.status in (PASSED, SKIPPED, EXPECTED)
+
+
+CHECKS: dict[str, dict[str, Check]] = {"model": {}, "observer": {}, "policy": {}, "filter": {}}
+"""All checks by kind and name, in the order in which they run."""
+
+
+def check(kind: str) -> Callable[[Callable[[Factory], None]], Callable[[Factory], None]]:
+    """Register the decorated function as a check of this kind."""
+
+    def register(function: Callable[[Factory], None]) -> Callable[[Factory], None]:
+        reason = " ".join((function.__doc__ or "").split())
+        CHECKS[kind][function.__name__] = Check(kind, function.__name__, reason, function)
+        return function
+
+    return register
+
+
+def made(kind: str, factory: Factory) -> Plugin:
+    """Return a plugin of the factory; raises ConformanceError for another kind, or expected failures of no check."""
+    plugin = factory()
+    if not isinstance(plugin, Plugin) or plugin.kind != kind:
+        raise ConformanceError(f"expected the factory to make a {kind}, it made a {type(plugin).__name__}")
+    for name in plugin.expected_failures:
+        if name not in CHECKS[kind]:
+            raise ConformanceError(
+                f"{plugin.label} expects the failure of '{name}', which is no check (checks: {', '.join(CHECKS[kind])})"
+            )
+    return plugin
+
+
+def factory_of(spec: PluginSpec) -> Factory:
+    """Return what makes fresh plugins with the options that they want to be checked under; raises PluginError."""
+    options = registry().plugin_class(spec.kind, spec.name).check_options()
+
+    def make() -> Any:
+        return registry().create(spec.kind, {"name": spec.name, **options})
+
+    return make
+
+
+def run_check(one: Check, factory: Factory, expected: str | None = None) -> Outcome:
+    """Run one check; ``expected`` is the reason why it is declared to fail, None where it is not."""
+    begun = perf_counter()
+    try:
+        one.run(factory)
+        status, detail = PASSED, ""
+    except NotApplicable as reason:
+        return Outcome(one, SKIPPED, str(reason), perf_counter() - begun)
+    except ConformanceError as error:
+        status, detail = FAILED, str(error)
+    except Exception as error:  # whatever else a plugin raises is what was found
+        status, detail = FAILED, f"{type(error).__name__}: {' '.join(str(error).split())}"
+    if expected is not None:
+        status, detail = (EXPECTED, expected) if status == FAILED else (UNEXPECTED, f"declared to fail: {expected}")
+    return Outcome(one, status, detail, perf_counter() - begun)
+
+
+def run_checks(kind: str, factory: Factory) -> Iterator[Outcome]:
+    """Run all checks of a kind on the plugins that ``factory()`` makes, one outcome at a time.
+
+    Raises ConformanceError where the factory makes something else, and whatever the factory itself raises.
+    """
+    plugin = made(kind, factory)
+    for one in CHECKS[kind].values():
+        yield run_check(one, factory, plugin.expected_failures.get(one.name))
+
+
+def demand(kind: str, factory: Factory) -> list[Outcome]:
+    """Run all checks and return their outcomes; raises ConformanceError naming every one that needs mending."""
+    label = made(kind, factory).label
+    outcomes = list(run_checks(kind, factory))
+    wrong = [f"{outcome.check.name}: {outcome.status}, {outcome.detail}" for outcome in outcomes if not outcome.ok]
+    if wrong:
+        raise ConformanceError(f"{label} does not conform: {'; '.join(wrong)}")
+    return outcomes
+
+
+def require(condition: object, message: str) -> None:
+    """Raise ConformanceError with the message unless the condition holds."""
+    if not condition:
+        raise ConformanceError(message)

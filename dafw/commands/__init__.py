@@ -1,0 +1,78 @@
+"""The command ``dafw``. Exit status: 0 done, 2 the request was wrong, 1 a computation failed, 130 interrupted."""
+
+from __future__ import annotations
+
+import io
+import os
+import sys
+from collections.abc import Callable, Sequence
+from importlib import import_module
+
+from dafw.commands.mpirun import shares, together
+from dafw.core.errors import DafwError
+
+COMMANDS = ("run", "plugins", "plot", "doctor", "check", "new-plugin")
+"""The command NAME is the function ``NAME_command(words)`` of the module NAME in this folder, loaded when called; a
+hyphen becomes an underscore."""
+
+USAGE = """\
+usage: dafw COMMAND [...]
+
+  run [-m] [experiment=NAME] [overrides]   run a study; -m runs every combination of the values given (a=1,2)
+  plugins [--json] [NAME]                  list the plugins, or the options of those with this name
+  plot RUN [RUN ...] [--out DIR]           draw the pictures of a run, or of several together
+  check NAME [NAME ...] | --all            hold plugins to what their interface promises
+  new-plugin KIND NAME DIR                 write a package with a plugin to start from, and its test
+  doctor [--json]                          say what this machine lacks, and the command that installs it
+
+`dafw run --help` lists what can be chosen. Results go to outputs/NAME/TIME; the last line printed is the folder.
+"""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command and return its exit status; a wrong request is one line on standard error."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # a terminal that knows no umlauts is no reason to fail
+    if not words or words[0] in ("-h", "--help", "help"):
+        print(USAGE, end="")
+        return 0 if words else 2
+    if words[0] == "--version":
+        from importlib.metadata import version
+
+        print(f"dafw {version('dafw')}")
+        return 0
+    name, *others = words
+    if shares(words):
+        return together(lambda communicator: _ended(lambda: _command("run")(others, communicator)), words)
+    if name not in COMMANDS:
+        return _refuse(f"unknown command '{name}' (commands: {', '.join(COMMANDS)})")
+    status, message = _ended(lambda: _command(name)(others))
+    return _refuse(message, status) if message else status
+
+
+def _command(name: str) -> Callable[..., int]:
+    module = name.replace("-", "_")
+    command: Callable[..., int] = getattr(import_module(f"{__name__}.{module}"), f"{module}_command")
+    return command
+
+
+def _ended(command: Callable[[], int]) -> tuple[int, str]:
+    """Return a command's exit status, and what is to be said where it failed."""
+    try:
+        return command(), ""
+    except DafwError as error:
+        return error.exit_status, " ".join(str(error).split())
+    except KeyboardInterrupt as stop:
+        return 130, f"interrupted: {stop}".removesuffix(": ")
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1, ""
+    except OSError as error:
+        return 2, " ".join(str(error).split())
+
+
+def _refuse(message: str, status: int = 2) -> int:
+    print(f"dafw: {message}", file=sys.stderr)
+    return status

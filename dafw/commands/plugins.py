@@ -1,0 +1,42 @@
+"""``dafw plugins``: what is installed, and the options of a plugin."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from typing import Any
+
+from dafw.commands.parser import Parser
+from dafw.core.errors import PluginError
+from dafw.core.registry import registry
+
+
+def plugins_command(words: Sequence[str]) -> int:
+    """Print the plugins, or the options of those with a name; raises PluginError for a name that nobody has."""
+    parser = Parser(prog="dafw plugins", description="List the plugins, or the options of those with this name.")
+    parser.add_argument("name", nargs="?", help="a plugin's name: list its options")
+    parser.add_argument("--json", action="store_true", help="for machines")
+    asked = parser.parse_args(words)
+    rows = []
+    for plugin in registry().named(asked.name) if asked.name else registry().plugins():
+        row: dict[str, Any] = {"kind": plugin.spec.kind, "name": plugin.spec.name, "package": plugin.package}
+        row["summary"] = plugin.spec.summary
+        if asked.name or asked.json:
+            try:
+                row["options"] = [vars(option) for option in registry().options(plugin.spec.kind, plugin.spec.name)]
+            except PluginError as error:
+                row["problem"] = str(error)
+        rows.append(row)
+    if asked.json:
+        problems_listed = [vars(problem) for problem in registry().problems]
+        print(json.dumps({"plugins": rows, "problems": problems_listed}, indent=2, default=str))
+        return 0
+    for row in rows:
+        print(f"{row['kind']:<9} {row['name']:<12} {row['summary']}  [{row['package']}]")
+        for option in row.get("options", []):
+            print(f"    {option['name']}: {option['type']} = {option['default']}    {option['help']}")
+        if "problem" in row:
+            print(f"    {row['problem']}")
+    for problem in registry().problems:
+        print(f"problem   {problem.package}: {problem.message}")
+    return 0

@@ -1,0 +1,121 @@
+"""From run folders to picture files: what ``dafw run`` does at its end and ``dafw plot`` at any time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from matplotlib.figure import Figure
+
+from dafw.core.errors import RunError
+from dafw.core.files import whole_file
+from dafw.core.runs import open_run
+from dafw.views.contents import has_map, has_section, scalar_variables, scored_variable
+from dafw.views.maps import plot_contours, plot_route
+from dafw.views.section import plot_section
+from dafw.views.series import plot_errors, plot_parameters, plot_state
+from dafw.views.style import RESOLUTION
+
+if TYPE_CHECKING:
+    from xarray import Dataset
+
+
+def draw_all(run: Dataset, folder: Path) -> list[Path]:
+    """Write every picture that this run has the content for and return the files, err.png first.
+
+    A field on a mesh gives route.png, contours.png and (with a polyline) section.png; a state without coordinates
+    gives state.png; scalars of the state give parameters.png. Raises RunError where ``run`` is not a run of dafw.
+    """
+    scored = run[f"{scored_variable(run)}_mean"]
+    one = {"belief": run}
+    pictures: dict[str, Callable[[], Figure]] = {"err": lambda: plot_errors(one)}
+    if has_map(run):
+        pictures["route"] = lambda: plot_route(one)
+        pictures["contours"] = lambda: plot_contours(run)
+    elif scored.ndim == 2 and run.sizes["time"] > 1:
+        pictures["state"] = lambda: plot_state(run)
+    if has_section(run):
+        pictures["section"] = lambda: plot_section(run)
+    if scalar_variables(run):
+        pictures["parameters"] = lambda: plot_parameters(run)
+    return [_save(draw(), Path(folder) / f"{name}.png") for name, draw in pictures.items()]
+
+
+def compare(runs: Mapping[str, Dataset], folder: Path) -> list[Path]:
+    """Write err.png of several runs in distinct colours, and route.png of those that have a map; return the files."""
+    files = [_save(plot_errors(runs), Path(folder) / "err.png")]
+    mapped = {text: run for text, run in runs.items() if has_map(run)}
+    if len(mapped) == len(runs):
+        files.append(_save(plot_route(mapped), Path(folder) / "route.png"))
+    return files
+
+
+def draw_runs(paths: Sequence[Path], out: Path | None) -> list[Path]:
+    """Draw one run, or compare several, and return the files written.
+
+    ``paths`` are run folders or their ``run.nc``. The pictures of one run go to ``out`` or its own folder's
+    ``figures``; a comparison goes to ``out`` or ``comparison`` in the current folder. Raises RunError where a path
+    holds no run that can be read.
+    """
+    files = [path / "run.nc" if path.is_dir() else path for path in map(Path, paths)]
+    if not files:
+        raise RunError("expected at least one run folder or run.nc to draw, got none")
+    runs = [_load(file) for file in files]
+    if len(runs) == 1:
+        return draw_all(runs[0], out or files[0].parent / "figures")
+    return compare(dict(zip(_labels(files, runs), runs, strict=True)), out or Path("comparison"))
+
+
+def _load(file: Path) -> Dataset:
+    """Read what the pictures need into memory, so that a damaged file is found here and not half-way through."""
+    try:
+        with open_run(file) as opened:
+            # Whole ensembles of fields are large, and no picture shows them.
+            large = [name for name, array in opened.variables.items() if {"member", "node"} <= set(array.dims)]
+            run = opened.drop_vars(large).load()
+    except (OSError, ValueError, RuntimeError) as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise RunError(f"cannot read {file} as a run: {reason}") from error
+    try:
+        scored_variable(run)
+    except RunError as error:
+        raise RunError(f"{file}: {error}") from None
+    if run.sizes["time"] == 0:
+        raise RunError(f"{file} holds no time yet: nothing to draw")
+    return run
+
+
+def _labels(files: Sequence[Path], runs: Sequence[Dataset]) -> list[str]:
+    """Name runs by the first of these that tells all of them apart: overrides, study, study and seed, path."""
+    names = [str(run.attrs.get("name", "run")) for run in runs]
+    seeds = [f"{name}, seed {run.attrs.get('seed', '?')}" for name, run in zip(names, runs, strict=True)]
+    paths = [str(file.parent if file.name == "run.nc" else file) for file in files]
+    for candidates in (_own_overrides(files), names, seeds, paths):
+        if len(set(candidates)) == len(candidates) and all(candidates):
+            return candidates
+    raise RunError(f"expected different runs to compare, got the same one twice among {', '.join(paths)}")
+
+
+def _own_overrides(files: Sequence[Path]) -> list[str]:
+    """Return what Hydra was told for each run and not for all of them: ``policy.theta=0.2``."""
+    import yaml
+
+    told = []
+    for file in files:
+        record = file.parent / ".hydra" / "overrides.yaml"
+        try:
+            listed = yaml.safe_load(record.read_text(encoding="utf-8")) if record.is_file() else []
+        except (OSError, UnicodeError, yaml.YAMLError):
+            listed = []  # a label less
+        told.append([str(item) for item in listed] if isinstance(listed, list) else [])
+    common = set.intersection(*map(set, told))
+    return [", ".join(item for item in one if item not in common) for one in told]
+
+
+def _save(figure: Figure, file: Path) -> Path:
+    """Write the picture; an interrupted save leaves the former one or none."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(file) as stream:
+        figure.savefig(stream, format="png", dpi=RESOLUTION, bbox_inches="tight", pad_inches=0.08)
+    return file

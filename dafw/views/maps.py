@@ -1,0 +1,185 @@
+"""Maps: the route over the belief (the paper's Fig. 4), and the four-panel picture of the concentration (Fig. 6)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from dafw.core.errors import RunError
+from dafw.views.contents import (
+    buildings,
+    has_free_run,
+    has_map,
+    label,
+    landmark,
+    polyline,
+    scored_variable,
+    time_units,
+    triangulation,
+)
+from dafw.views.style import (
+    HALO,
+    SECTION_COLOUR,
+    ColourScale,
+    colour_scale,
+    draw_buildings,
+    map_axes,
+    new_figure,
+    outside_legend,
+    peak_at_end,
+    run_style,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.tri import Triangulation
+    from xarray import Dataset
+
+RELEASE: dict[str, Any] = {
+    "marker": "o",
+    "color": "#FFD92F",
+    "markeredgecolor": "black",
+    "markersize": 10,
+    "linestyle": "none",
+}
+START: dict[str, Any] = {
+    "marker": "s",
+    "markerfacecolor": "white",
+    "markeredgewidth": 1.8,
+    "markersize": 8,
+    "linestyle": "none",
+}
+END: dict[str, Any] = {
+    "marker": "*",
+    "markeredgecolor": "white",
+    "markeredgewidth": 0.8,
+    "markersize": 16,
+    "linestyle": "none",
+}
+
+
+def plot_route(runs: Mapping[str, Dataset]) -> Figure:
+    """Draw where the vehicles of one or several runs flew and which nodes they read.
+
+    The background is the first run's analysis mean at its last time. Raises RunError where that is no field on a mesh.
+    """
+    background_label, run = next(iter(runs.items()))
+    name = scored_variable(run)
+    if not has_map(run):
+        raise RunError(f"a route needs a field on a mesh, which '{name}' of this run is not")
+    belief = run[f"{name}_mean"].values[-1]
+    mesh = triangulation(run)
+    scale = colour_scale(belief, float(np.nanmax(belief)), belief)
+
+    figure = new_figure(8.0, 6.4 * _height_to_width(mesh) + 1.4, maps=True)
+    axes = figure.subplots()
+    field = _draw_field(axes, mesh, belief, scale)
+    draw_buildings(axes, buildings(run))
+    handles: list[Line2D] = []
+    for index, (text, one) in enumerate(runs.items()):
+        style = run_style(index, len(runs))
+        _draw_route(axes, one, style)
+        entry = text if len(runs) > 1 else "route and visited nodes" if one.sizes.get("vehicle") else "visited nodes"
+        handles.append(Line2D([], [], **style, marker="o", markersize=4, label=entry))
+    if (position := landmark(run, "release")) is not None:
+        handles += axes.plot(*position, **RELEASE, zorder=4.5, label="release")
+    if any(one.sizes.get("vehicle") for one in runs.values()):
+        handles.append(Line2D([], [], **START, markeredgecolor="black", label="start"))
+        handles.append(Line2D([], [], **END, color="black", label="end"))
+
+    map_axes(axes, mesh.x, mesh.y)
+    axes.set(xlabel="x (m)", ylabel="y (m)")
+    whose = f" of {background_label}" if len(runs) > 1 else ""
+    axes.set_title(f"Visited nodes, over the belief{whose} at t = {_last_time(run)}", fontsize=11)
+    figure.colorbar(field, ax=axes, label=label(run, name), extend=scale.extend, pad=0.02)
+    outside_legend(figure, handles, "lower")
+    return figure
+
+
+def plot_contours(run: Dataset) -> Figure:
+    """Draw the truth at the start and at the end, the free run and the belief at the end, on one colour scale.
+
+    The polyline gamma of the section is drawn where the run has one. Raises RunError where the scored variable is no
+    field on a mesh.
+    """
+    name = scored_variable(run)
+    if not has_map(run):
+        raise RunError(f"a contour picture needs a field on a mesh, which '{name}' of this run is not")
+    truth = run[f"{name}_truth"].values
+    end = _last_time(run)
+    panels = [
+        (f"Truth, t = {float(run['time'][0]):g} {time_units(run)}", truth[0]),
+        (f"Truth, t = {end}", truth[-1]),
+        (f"Free run, t = {end}{_error(run, 'err_free')}", run[f"{name}_free"].values[-1])
+        if has_free_run(run)
+        else ("No free run was computed", None),
+        (f"Belief, t = {end}{_error(run, 'err')}", run[f"{name}_mean"].values[-1]),
+    ]
+    mesh, outlines = triangulation(run), buildings(run)
+    scale = colour_scale(truth, peak_at_end(truth), *(values for _, values in panels if values is not None))
+
+    figure = new_figure(9.6, 7.8 * _height_to_width(mesh) + 1.5, maps=True)
+    grid = figure.subplots(2, 2, sharex=True, sharey=True)
+    for axes, (title, values) in zip(grid.flat, panels, strict=True):
+        if values is not None:
+            field = _draw_field(axes, mesh, values, scale)
+        draw_buildings(axes, outlines)
+        handles = _draw_section(axes, run)
+        if (position := landmark(run, "release")) is not None:
+            handles += axes.plot(*position, **RELEASE | {"markersize": 6}, zorder=4, label="release")
+        axes.set_title(title, fontsize=10.5)
+        map_axes(axes, mesh.x, mesh.y)
+    for axes in grid[-1]:
+        axes.set_xlabel("x (m)")
+    for axes in grid[:, 0]:
+        axes.set_ylabel("y (m)")
+    figure.colorbar(field, ax=grid, label=label(run, name), extend=scale.extend, pad=0.02, aspect=32)
+    if handles:
+        outside_legend(figure, handles, "lower")
+    return figure
+
+
+def _draw_field(axes: Axes, mesh: Triangulation, values: np.ndarray, scale: ColourScale) -> Any:
+    # Rasterised: a vector format would otherwise hold every triangle.
+    return axes.tripcolor(mesh, values, shading="gouraud", rasterized=True, zorder=1, **scale.keywords)
+
+
+def _height_to_width(mesh: Triangulation) -> float:
+    return float(np.ptp(mesh.y) / np.ptp(mesh.x))
+
+
+def _draw_route(axes: Axes, run: Dataset, style: dict[str, Any]) -> None:
+    """Draw one run's nodes read, and every vehicle's path with its start and end."""
+    colour = style["color"]
+    if "observation_x" in run.variables:
+        x, y = run["observation_x"].values.ravel(), run["observation_y"].values.ravel()
+        seen = np.isfinite(x) & np.isfinite(y)
+        axes.plot(x[seen], y[seen], "o", color=colour, markersize=4.5, mec="white", mew=0.6, zorder=3.5, gid="nodes")
+    if "vehicle_x" in run.variables:
+        for x, y in zip(run["vehicle_x"].values.T, run["vehicle_y"].values.T, strict=True):
+            axes.plot(x, y, **style, linewidth=1.3, path_effects=HALO, zorder=3, gid="route")
+            axes.plot(x[0], y[0], **START, markeredgecolor=colour, zorder=5, gid="start")
+            axes.plot(x[-1], y[-1], **END, color=colour, zorder=5, gid="end")
+
+
+def _draw_section(axes: Axes, run: Dataset) -> list[Line2D]:
+    if "section_x" not in run.variables:
+        return []
+    x, y = polyline(run, "section").T
+    lines = axes.plot(
+        x, y, color=SECTION_COLOUR, linewidth=1.6, path_effects=HALO, zorder=3, label="section γ(s)", gid="section"
+    )
+    dot = axes.plot(x[0], y[0], "o", color=SECTION_COLOUR, mec="white", markersize=6, zorder=3.5, label="s = 0")
+    return [*lines, *dot]
+
+
+def _last_time(run: Dataset) -> str:
+    return f"{float(run['time'][-1]):g} {time_units(run)}"
+
+
+def _error(run: Dataset, score: str) -> str:
+    return f" (ERR {float(run[score][-1]):.0f} %)"

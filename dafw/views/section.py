@@ -1,0 +1,85 @@
+"""The concentration over time along the polyline gamma(s) (the paper's Fig. 5)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+from matplotlib.tri import Triangulation
+
+from dafw.core.errors import RunError
+from dafw.views.contents import has_free_run, has_section, label, polyline, scored_variable, time_units, triangulation
+from dafw.views.style import BUILDING_FACE, colour_scale, new_figure, outside_legend
+
+if TYPE_CHECKING:
+    from xarray import Dataset
+
+SAMPLES = 251
+"""Points along a section."""
+
+
+def plot_section(run: Dataset) -> Figure:
+    """Draw the scored variable along gamma over time for truth, free run and belief, on one colour scale.
+
+    Where gamma crosses a building or leaves the mesh there is nothing to draw: those rows are grey. Raises RunError
+    where the run has no section, no field on a mesh, or only one time.
+    """
+    name = scored_variable(run)
+    if not has_section(run):
+        raise RunError("a section needs section_x, section_y, a field on a mesh and two times, which this run lacks")
+    arc_length, points = sample_polyline(polyline(run, "section"), SAMPLES)
+    weights = SectionWeights(triangulation(run), points)
+    stages = {"Truth": "truth", "Free run": "free", "Belief": "mean"}
+    if not has_free_run(run):
+        del stages["Free run"]
+    panels = {title: weights.apply(run[f"{name}_{stage}"].values) for title, stage in stages.items()}
+    truth = panels["Truth"]
+    if not np.isfinite(truth).any():
+        raise RunError("the section lies outside the mesh or inside buildings: nothing to draw along it")
+    scale = colour_scale(truth, float(np.nanpercentile(truth, 99.9)), *panels.values())
+
+    figure = new_figure(10.4, 3.9)
+    row = figure.subplots(1, len(panels), sharex=True, sharey=True)
+    for axes, (title, values) in zip(row, panels.items(), strict=True):
+        picture = axes.pcolormesh(
+            run["time"].values, arc_length, values.T, shading="nearest", rasterized=True, **scale.keywords
+        )
+        axes.set_facecolor(BUILDING_FACE)
+        axes.set_title(title, fontsize=11)
+        axes.set_xlabel(f"t ({time_units(run)})")
+    row[0].set_ylabel("arc length s along γ (m)")
+    figure.colorbar(picture, ax=row, label=label(run, name), extend=scale.extend, pad=0.02)
+    if not np.isfinite(truth).all():
+        outside_legend(figure, [Patch(color=BUILDING_FACE, label="inside a building or outside the mesh")], "lower")
+    return figure
+
+
+def sample_polyline(corners: np.ndarray, samples: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return ``samples`` equidistant arc lengths (samples,) and their points (samples, 2) along ``corners`` (k, 2)."""
+    at_corners = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(corners, axis=0).T))])
+    arc_length = np.linspace(0.0, at_corners[-1], samples)
+    return arc_length, np.column_stack([np.interp(arc_length, at_corners, corners[:, axis]) for axis in (0, 1)])
+
+
+class SectionWeights:
+    """Linear interpolation from the nodes of a mesh to fixed points: found once, applied to every time."""
+
+    def __init__(self, mesh: Triangulation, points: np.ndarray) -> None:
+        found = mesh.get_trifinder()(*points.T)
+        self.corners = mesh.triangles[found]
+        a, b, c = (np.column_stack([mesh.x[corner], mesh.y[corner]]) for corner in self.corners.T)
+        area = _cross(b - a, c - a)
+        second, third = _cross(points - a, c - a) / area, _cross(b - a, points - a) / area
+        self.weights = np.column_stack([1.0 - second - third, second, third])
+        # The finder says -1 outside the mesh and inside its holes.
+        self.weights[found < 0] = np.nan
+
+    def apply(self, values: np.ndarray) -> np.ndarray:
+        """Return (time, points) from (time, node); NaN outside the mesh."""
+        return np.asarray(np.einsum("tpk,pk->tp", values[:, self.corners], self.weights))
+
+
+def _cross(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    return np.asarray(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])

@@ -1,0 +1,86 @@
+"""The kit passes what is right and catches what is broken, each fault by the check that is meant for it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from broken import BROKEN, East, Ends, Walk
+
+from dafw.authoring.evidence import require_mean
+from dafw.plugins.filters.etkf import ETKF
+from dafw.plugins.filters.none import NoFilter
+from dafw.testing import CHECKS, ConformanceError, check_filter, check_model, check_observer, check_policy, run_checks
+
+ALL = [(kind, name) for kind, checks in CHECKS.items() for name in checks]
+# Whoever decides by whim cannot decide the same once more, for whatever reason it is asked.
+IMPLIED = {("policy", "determinism"): ["restart", "truth_blind"]}
+RIGHT = {"model": (check_model, Walk), "observer": (check_observer, Ends), "policy": (check_policy, East)}
+
+
+@pytest.mark.parametrize(("kind", "name"), ALL)
+def test_each_check_has_a_broken_plugin_that_it_alone_catches(kind, name):
+    outcomes = list(run_checks(kind, BROKEN[kind, name]))
+    failed = [outcome.check.name for outcome in outcomes if outcome.status == "failed"]
+    assert failed == [
+        name,
+        *IMPLIED.get((kind, name), []),
+    ]
+
+
+def test_there_is_no_broken_plugin_without_a_check():
+    assert sorted(BROKEN) == sorted(ALL)
+
+
+@pytest.mark.parametrize("kind", RIGHT)
+def test_what_the_faults_were_added_to_is_right(kind):
+    check, plugin = RIGHT[kind]
+    assert all(outcome.status == "passed" for outcome in check(plugin))
+
+
+def test_a_failure_names_plugin_and_check():
+    with pytest.raises(ConformanceError, match=r"filter 'Unbounded' does not conform: stays_in_set: failed, .*-"):
+        check_filter(BROKEN["filter", "stays_in_set"])
+
+
+def test_a_declared_failure_is_shown_with_its_reason():
+    declared = type("Declared", (BROKEN["filter", "prior_kept"],), {"expected_failures": {"prior_kept": "fixed gain"}})
+    outcome = {outcome.check.name: outcome for outcome in check_filter(declared)}["prior_kept"]
+    assert (outcome.status, outcome.detail, outcome.ok) == ("expected failure", "fixed gain", True)
+
+
+def test_a_declared_failure_that_passes_is_reported():
+    declared = type("Declared", (NoFilter,), {"expected_failures": {"prior_kept": "once it did"}})
+    with pytest.raises(ConformanceError, match="prior_kept: unexpected pass, declared to fail: once it did"):
+        check_filter(declared)
+
+
+def test_a_declared_failure_of_no_check_is_refused():
+    declared = type("Declared", (NoFilter,), {"expected_failures": {"prior": "misspelt"}})
+    with pytest.raises(ConformanceError, match=r"'prior', which is no check \(checks: shapes, "):
+        check_filter(declared)
+
+
+def test_another_kind_is_refused():
+    with pytest.raises(ConformanceError, match="expected the factory to make a filter, it made a Walk"):
+        check_filter(Walk)
+
+
+def test_an_unknown_accuracy_is_refused():
+    with pytest.raises(ConformanceError, match=r"accuracy must be one of exact, statistical, none; got 'best'"):
+        check_filter(type("Boaster", (ETKF,), {"accuracy": "best"}))
+
+
+def test_an_exact_filter_is_also_statistically_right():
+    check_filter(type("Modest", (ETKF,), {"accuracy": "statistical"}))
+
+
+def test_a_rotated_ensemble_is_right():
+    check_filter(lambda: ETKF(rotation=True))
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_mean_over_seeds_is_judged_by_its_own_error(seed):
+    samples = np.random.default_rng(seed).standard_normal((64, 5))
+    require_mean(samples, np.zeros(5), "unbiased")
+    with pytest.raises(ConformanceError, match="biased: mean over 64 seeds"):
+        require_mean(samples + np.array([0.0, 0.0, 1.5, 0.0, 0.0]), np.zeros(5), "biased")
