@@ -236,23 +236,3 @@ def test_an_interrupted_run_ends_in_order(folder, number):
     summary = json.loads((path / "summary.json").read_text())
     with dafw.open_run(path) as run:
         assert (summary["status"], summary["cycles"]) == ("interrupted", run.sizes["time"] - 1)
-
-
-def test_plugins_are_listed_with_their_options(capsys):
-    assert main(["plugins"]) == 0
-    listed = capsys.readouterr().out
-    assert all(name in listed for name in ("ad_ins", "drone", "enie2d", "etkf"))
-    assert main(["plugins", "etkf"]) == 0
-    assert "inflation: float = 1.0" in capsys.readouterr().out
-    assert main(["plugins", "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert found["problems"] == []
-    etkf = next(plugin for plugin in found["plugins"] if plugin["name"] == "etkf")
-    assert {"kind", "name", "package", "options"} <= set(etkf)
-
-
-def test_help_answers_without_loading_anything_heavy():
-    code = "import sys, dafw.commands; dafw.commands.main(['--help']); dafw.commands.main(['plugins']); "
-    code += "print(sorted({'dolfinx', 'gmsh', 'matplotlib', 'xarray', 'scipy', 'shapely'} & set(sys.modules)))"
-    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-    assert "usage: dafw" in shown and shown.strip().endswith("[]")
