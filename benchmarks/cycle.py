@@ -20,7 +20,7 @@ from threadpoolctl import threadpool_limits
 from benchmarks import Measurement, benchmark
 from dafw.core.composition import compose, study_part
 from dafw.core.cycle import Parts, State, advance, start
-from dafw.core.experiment import assemble, study_from
+from dafw.core.experiment import study_from
 from dafw.core.record import Record
 from dafw.studies.running import run_study
 
@@ -63,9 +63,9 @@ class Run:
 def running(overrides: Sequence[str]) -> Iterator[Run]:
     """Set a study up."""
     study = study_from(study_part(compose(list(overrides))))
-    parts, vehicle = assemble(study)
+    parts, vehicle = study.prepare()
     with parts.executor, threadpool_limits(limits=1, user_api="blas"):
-        parts.executor.start(parts.model, study.model)
+        parts.executor.start(parts.model, study.model_configuration)
         yield Run(parts, start(parts, study.members, vehicle))
 
 

@@ -12,34 +12,43 @@ if TYPE_CHECKING:
     from dafw.authoring.function import model_from_function
     from dafw.authoring.program import ProgramModel
     from dafw.core.domain import Domain
-    from dafw.core.ensemble import Analysis, Diagnostic, Ensemble, Route, Step, Vehicle
+    from dafw.core.ensemble import Analysis, Diagnostic, Ensemble, Forecast, Route, Step, Vehicle
     from dafw.core.errors import (
         ComputationError,
         ConfigurationError,
         ContractError,
         DafwError,
+        DivergenceError,
         OptionError,
         PluginError,
         RequestError,
         RunError,
         SolverError,
     )
+    from dafw.core.executors import Executor
+    from dafw.core.executors.batches import Batch, Stepped, step_members
     from dafw.core.hookspecs import PluginSpec, hookimpl
-    from dafw.core.interfaces import Filter, Model, Observer, Policy
-    from dafw.core.observation import Observation, ObservationOperator, Selection, colour, whiten
+    from dafw.core.interfaces import Filter, Model, Observer, Policy, Readings
+    from dafw.core.interfaces.readings import Request, Taken
+    from dafw.core.observation import Interpolation, Observation, ObservationOperator, Selection, colour, whiten
     from dafw.core.options import option
     from dafw.core.runs import open_run
     from dafw.core.space import ANGLE, FIELD, NONNEGATIVE, StateSpace, Variable
+    from dafw.core.study import Study
+    from dafw.core.window import Outlook, PastCycle, Window
     from dafw.studies.running import run
 
 _HOMES = {
     "dafw.core.domain": ("Domain",),
-    "dafw.core.ensemble": ("Analysis", "Diagnostic", "Ensemble", "Route", "Step", "Vehicle"),
+    "dafw.core.ensemble": ("Analysis", "Diagnostic", "Ensemble", "Forecast", "Route", "Step", "Vehicle"),
+    "dafw.core.executors": ("Executor",),
+    "dafw.core.executors.batches": ("Batch", "Stepped", "step_members"),
     "dafw.core.errors": (
         "ComputationError",
         "ConfigurationError",
         "ContractError",
         "DafwError",
+        "DivergenceError",
         "OptionError",
         "PluginError",
         "RequestError",
@@ -47,10 +56,20 @@ _HOMES = {
         "SolverError",
     ),
     "dafw.core.hookspecs": ("PluginSpec", "hookimpl"),
-    "dafw.core.interfaces": ("Filter", "Model", "Observer", "Policy"),
-    "dafw.core.observation": ("Observation", "ObservationOperator", "Selection", "colour", "whiten"),
+    "dafw.core.interfaces": ("Filter", "Model", "Observer", "Policy", "Readings"),
+    "dafw.core.interfaces.readings": ("Request", "Taken"),
+    "dafw.core.observation": (
+        "Interpolation",
+        "Observation",
+        "ObservationOperator",
+        "Selection",
+        "colour",
+        "whiten",
+    ),
     "dafw.core.options": ("option",),
     "dafw.core.runs": ("open_run",),
+    "dafw.core.study": ("Study",),
+    "dafw.core.window": ("Outlook", "PastCycle", "Window"),
     "dafw.core.space": ("ANGLE", "FIELD", "NONNEGATIVE", "StateSpace", "Variable"),
     "dafw.authoring.function": ("model_from_function",),
     "dafw.authoring.program": ("ProgramModel",),
@@ -63,23 +82,32 @@ __all__ = [
     "FIELD",
     "NONNEGATIVE",
     "Analysis",
+    "Batch",
     "ComputationError",
     "ConfigurationError",
     "ContractError",
     "DafwError",
     "Diagnostic",
+    "DivergenceError",
     "Domain",
     "Ensemble",
+    "Executor",
     "Filter",
+    "Forecast",
+    "Interpolation",
     "Model",
     "Observation",
     "ObservationOperator",
     "Observer",
     "OptionError",
+    "Outlook",
+    "PastCycle",
     "PluginError",
     "PluginSpec",
     "Policy",
     "ProgramModel",
+    "Readings",
+    "Request",
     "RequestError",
     "Route",
     "RunError",
@@ -87,14 +115,19 @@ __all__ = [
     "SolverError",
     "StateSpace",
     "Step",
+    "Stepped",
+    "Study",
+    "Taken",
     "Variable",
     "Vehicle",
+    "Window",
     "colour",
     "hookimpl",
     "model_from_function",
     "open_run",
     "option",
     "run",
+    "step_members",
     "whiten",
 ]
 

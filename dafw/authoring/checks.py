@@ -14,7 +14,7 @@ from typing import Any
 from dafw.core.errors import ComputationError
 from dafw.core.hookspecs import PluginSpec
 from dafw.core.plugin import Plugin
-from dafw.core.registry import registry
+from dafw.core.registry import KINDS, registry
 
 type Factory = Callable[[], Any]
 
@@ -55,7 +55,7 @@ class Outcome:
         return self.status in (PASSED, SKIPPED, EXPECTED)
 
 
-CHECKS: dict[str, dict[str, Check]] = {"model": {}, "observer": {}, "policy": {}, "filter": {}}
+CHECKS: dict[str, dict[str, Check]] = {kind: {} for kind in KINDS}
 """All checks by kind and name, in the order in which they run."""
 
 

@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 
+from dafw.authoring.asking import ask
 from dafw.authoring.checks import ConformanceError, Factory, NotApplicable, check, require
 from dafw.authoring.evidence import (
     frozen,
@@ -57,7 +58,7 @@ def inputs_unchanged(factory: Factory) -> None:
 
     before = now()
     for _ in range(2):
-        filter_.update(problem.forecast, predicted, observation, memory, np.random.default_rng(0))
+        ask(filter_, problem.forecast, predicted, observation, memory, np.random.default_rng(0))
     changed = [name for name, bits in now().items() if bits != before[name]]
     require(not changed, f"an analysis changed {', '.join(changed)}")
 
@@ -185,7 +186,7 @@ def _cycles(factory: Factory, *, fresh: bool) -> list[Array]:
         forecast = Ensemble(1.1 * members, problem.forecast.space, float(cycle))
         observation = Observation(problem.values + 0.1 * cycle, problem.operator, float(cycle))
         predicted = problem.operator.apply(forecast.members)
-        analysis = filter_.update(forecast, predicted, observation, memory, np.random.default_rng(cycle))
+        analysis = ask(filter_, forecast, predicted, observation, memory, np.random.default_rng(cycle))
         members, memory = analysis.members, analysis.memory
         history.append(members)
     return history

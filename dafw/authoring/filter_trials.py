@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from dafw.authoring.asking import ask
 from dafw.authoring.checks import ConformanceError, Factory, NotApplicable
 from dafw.authoring.evidence import require_close, require_mean, state_of
 from dafw.authoring.problems import Problem, linear_problem
@@ -24,7 +25,7 @@ def analysed(filter_: Filter, problem: Problem, seed: int = 0) -> Analysis:
     """Return the filter's first analysis of the problem."""
     memory = filter_.initial_memory(len(problem.forecast))
     rng = np.random.default_rng(seed)
-    return filter_.update(problem.forecast, problem.predicted, problem.observation, memory, rng)
+    return ask(filter_, problem.forecast, problem.predicted, problem.observation, memory, rng)
 
 
 def declines(filter_: Filter, problem: Problem) -> str:
@@ -54,9 +55,8 @@ def draws(filter_: Filter, problem: Problem) -> bool:
     """Say whether the filter draws from the generator that it is handed."""
     rng = np.random.default_rng(0)
     before = state_of(rng)
-    filter_.update(
-        problem.forecast, problem.predicted, problem.observation, filter_.initial_memory(len(problem.forecast)), rng
-    )
+    memory = filter_.initial_memory(len(problem.forecast))
+    ask(filter_, problem.forecast, problem.predicted, problem.observation, memory, rng)
     return state_of(rng) != before
 
 

@@ -24,6 +24,7 @@ from dafw.core.interfaces import Filter, Model, Observer, Policy
 from dafw.core.observation import Observation, ObservationOperator
 from dafw.core.rng import MemberStreams, Streams
 from dafw.core.space import Array, StateSpace
+from dafw.plugins.readings.twin import Twin
 
 CYCLES = 4
 
@@ -141,7 +142,7 @@ def truth_blind(factory: Factory) -> None:
 
 def _decisions(policy: Policy, model: Model, truth: Model) -> list[Array]:
     """Return the ways flown in a study whose belief never hears of the truth."""
-    parts = Parts(model, truth, None, _Nothing(), policy, _Unmoved(), Streams(0))
+    parts = Parts(model, truth, None, _Nothing(), policy, _Unmoved(), Twin(), Streams(0))
     state = start(parts, 6, vehicles(2))
     paths: list[Array] = []
     for _ in range(CYCLES):

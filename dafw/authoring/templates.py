@@ -7,7 +7,7 @@ from pathlib import Path
 from string import Template
 
 from dafw.core.errors import RequestError
-from dafw.core.registry import KINDS, registry
+from dafw.core.registry import registry
 
 PYPROJECT = """\
 [build-system]
@@ -163,8 +163,8 @@ def new_plugin(kind: str, name: str, folder: Path) -> list[Path]:
 
     Raises RequestError for a kind, a name or a folder that cannot be used; nothing is ever overwritten.
     """
-    if kind not in KINDS:
-        raise RequestError(f"new-plugin: there is no kind '{kind}' (kinds: {', '.join(KINDS)})")
+    if kind not in CODE:
+        raise RequestError(f"new-plugin: there is no kind '{kind}' (kinds: {', '.join(CODE)})")
     if not (name.isascii() and name.isidentifier() and name == name.lower()) or keyword.iskeyword(name):
         raise RequestError(f"new-plugin: expected a name of small letters, digits and '_' like my_{kind}, got '{name}'")
     if name in registry().names(kind):

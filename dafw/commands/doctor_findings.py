@@ -33,6 +33,7 @@ PACKAGES = {
     "netCDF4": "netcdf4",
     "numpy": "numpy",
     "platformdirs": "platformdirs",
+    "psutil": "psutil",
     "pluggy": "pluggy",
     "pyproj": "pyproj",
     "scipy": "scipy",

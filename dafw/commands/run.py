@@ -20,12 +20,16 @@ from omegaconf import DictConfig
 
 from dafw.core.composition import compose, config_folder, explained, register_schemas, single_runs, study_part
 from dafw.core.errors import ComputationError, ConfigurationError, DafwError
-from dafw.core.experiment import Study, assemble, study_from
+from dafw.core.experiment import study_from
+from dafw.core.study import Study
 from dafw.studies.running import follow_study, refuse_run, run_study
 from dafw.studies.stopping import Interrupted
 
 STATUSES = ".status"
 """Folder in a sweep where its jobs leave their exit statuses until it is done."""
+
+SHOWN_BY_BUILDING = ("model", "truth", "free", "vehicle", "observer", "policy", "readings", "section")
+"""What of a study's configuration can be wrong in ways that only a site or a mesh shows."""
 
 
 def run_command(words: Sequence[str], communicator: Any = None) -> int:
@@ -58,13 +62,12 @@ def run_command(words: Sequence[str], communicator: Any = None) -> int:
                 raise ConfigurationError("hydra.job.chdir would move relative paths: it is not supported")
             if not asked.multirun:
                 refuse_run(Path(config.hydra.run.dir))
-            study = study_from(study_part(config))
+            composed = study_part(config)
+            study = study_from(composed)
             # Building the parts shows what only a site or a mesh can tell; once for each place is enough.
-            place = repr(
-                (study.model, study.truth, study.free, study.vehicle, study.observer, study.policy, study.section)
-            )
+            place = repr([composed.get(key) for key in SHOWN_BY_BUILDING])
             if place not in placed:
-                assemble(study, communicator)
+                study.prepare(communicator)
                 placed.add(place)
             if asked.multirun and sweep is None:
                 sweep = Path(config.hydra.sweep.dir).resolve()

@@ -23,8 +23,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from dafw.core.errors import ConfigurationError, OptionError, PluginError
-from dafw.core.executors import EXECUTORS, executor_class
-from dafw.core.experiment import Study
+from dafw.core.experiment import StudyOptions
 from dafw.core.options import schema
 from dafw.core.registry import KINDS, registry
 
@@ -46,9 +45,7 @@ def config_folder() -> Path:
 def register_schemas() -> None:
     """Tell Hydra about the study and every plugin that can be imported."""
     store = ConfigStore.instance()
-    store.store(name="study", node=schema(Study))
-    for name in EXECUTORS:
-        store.store(group="executor", name=name, node=schema(executor_class(name), name=name), provider="dafw")
+    store.store(name="study", node=schema(StudyOptions))
     for registered in registry().plugins():
         try:
             node = registry().schema(registered.spec.kind, registered.spec.name)

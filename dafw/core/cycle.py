@@ -4,8 +4,9 @@
 
     belief(t) --Policy--> route --Observer--> H_t, R_t
     belief(t) --Model---> forecast(t+dt)
-    truth(t)  --Model---> truth(t+dt) --H_t, noise--> y
-    forecast, H_t(forecast), y, R_t --Filter--> belief(t+dt)
+    truth(t)  --Model---> truth(t+dt)                          where there is a truth
+    H_t, truth(t+dt) or what came in --Readings--> y, with its time
+    past, forecast, H(forecast), y, R, re-run --Filter--> belief(t+dt), revised past
 
 ``State`` is all that a cycle needs from the one before; random numbers are addressed by seed, role and cycle. So a
 run can be cut anywhere and continued to the same bits.
@@ -13,64 +14,101 @@ run can be cut anywhere and continued to the same bits.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from time import perf_counter
 from typing import Self
 
-from dafw.core.ensemble import Diagnostics, Ensemble, Forecast, Memory, Route, Vehicle
+from dafw.core.ensemble import Analysis, Diagnostics, Ensemble, Forecast, Memory, Route, Vehicle
 from dafw.core.errors import ComputationError, DafwError
 from dafw.core.executors import Executor
+from dafw.core.executors.batches import Batch
 from dafw.core.executors.serial import Serial
-from dafw.core.interfaces import Filter, Model, Observer, Policy
-from dafw.core.observation import Observation, colour
+from dafw.core.interfaces import Filter, Model, Observer, Policy, Readings
+from dafw.core.interfaces.readings import Request
+from dafw.core.interpolation import View
+from dafw.core.late import Sorted, sort_by_cycle
+from dafw.core.observation import Observation
 from dafw.core.plugin import Plugin
+from dafw.core.rerun import MODEL_ERROR, Rerun
 from dafw.core.rng import Streams
 from dafw.core.space import Array
+from dafw.core.window import Outlook, PastCycle, Window
 
 PHASES = ("decide", "forecast", "truth", "free", "observe", "analyse", "record")
 
 
 @dataclass(frozen=True)
 class Parts:
-    """What a study is composed of; ``truth`` and ``free`` are models of one state space, ``free`` may be absent.
+    """What a study is composed of. ``truth`` and ``free`` are models that may be absent.
 
-    ``executor`` steps the members of the belief; the truth and the free run are stepped here.
+    ``truth_view`` says how the truth is seen in the belief's state space, None where it is the same one.
+    ``late_readings`` says what becomes of a late reading that no window of the filter reaches: ``use`` it as if it
+    were of now, or ``drop`` it. ``executor`` steps the members of the belief; truth and free run are stepped here.
     """
 
     model: Model
-    truth: Model
+    truth: Model | None
     free: Model | None
     observer: Observer
     policy: Policy
     filter: Filter
+    readings: Readings
     streams: Streams
     executor: Executor = field(default_factory=Serial)
+    late_readings: str = "drop"
+    truth_view: View | None = None
+
+    @property
+    def rerun(self) -> Rerun:
+        """What runs the model again."""
+        return Rerun(self.model, self.executor, self.streams)
+
+    def seen(self, truth: Forecast | None) -> Ensemble | None:
+        """Return the truth in the belief's state space."""
+        if truth is None or self.truth_view is None:
+            return truth.ensemble if truth else None
+        return self.truth_view.of(truth.ensemble)
 
 
 @dataclass(frozen=True)
 class State:
-    """Everything that the next cycle depends on."""
+    """Everything that the next cycle depends on. ``past`` are the cycles that the filter may look back to."""
 
     cycle: int
     belief: Forecast
-    truth: Forecast
+    truth: Forecast | None
     free: Forecast | None
     vehicle: Vehicle
-    policy_memory: Memory | None
-    filter_memory: Memory | None
+    policy_memory: Memory | None = None
+    filter_memory: Memory | None = None
+    readings_memory: Memory | None = None
+    past: tuple[PastCycle, ...] = ()
 
 
 @dataclass(frozen=True)
 class Cycle:
-    """One finished cycle: the state after it, and how it came about."""
+    """One finished cycle: the state after it, and how it came about.
+
+    ``truth`` is the truth after it as seen in the belief's state space. ``readings`` are sorted by the cycle that they
+    belong to; ``predicted`` (N, m) are the forecast's of those that were used at the end of this cycle.
+    """
 
     state: State
     forecast: Ensemble
+    truth: Ensemble | None
     route: Route
-    observation: Observation
+    readings: Sorted
     predicted: Array
+    analysis: Analysis
     diagnostics: dict[str, Diagnostics]
+    notes: tuple[str, ...]
     seconds: dict[str, float]
+
+    @property
+    def observation(self) -> Observation:
+        """The readings that were used at the end of this cycle."""
+        return self.readings.now
 
 
 @dataclass
@@ -103,70 +141,107 @@ def start(parts: Parts, n_members: int, vehicle: Vehicle) -> State:
     """Draw the truth, the first belief and the start of the free run."""
     parts.filter.require_members(n_members)
     clock, streams = _Clock(0.0), parts.streams
-    with clock.phase("initial", parts.truth):
-        truth = parts.truth.first_guess(1, streams.members("initial truth", 0))
+    truth = free = None
+    if parts.truth is not None:
+        with clock.phase("initial", parts.truth):
+            truth = parts.truth.first_guess(1, streams.members("initial truth", 0))
     with clock.phase("initial", parts.model):
         belief = parts.model.first_guess(n_members, streams.members("initial belief", 0))
-        free = parts.free.first_guess(1, streams.members("initial free", 0)) if parts.free else None
+        if parts.free is not None:
+            free = parts.free.first_guess(1, streams.members("initial free", 0))
     with clock.phase("initial", parts.policy):
         policy_memory = parts.policy.initial_memory(vehicle)
     with clock.phase("initial", parts.filter):
         filter_memory = parts.filter.initial_memory(n_members)
-    return State(
-        cycle=0,
-        belief=belief,
-        truth=truth,
-        free=free,
-        vehicle=vehicle,
-        policy_memory=policy_memory,
-        filter_memory=filter_memory,
-    )
+    with clock.phase("initial", parts.readings):
+        readings_memory = parts.readings.initial_memory()
+    return State(0, belief, truth, free, vehicle, policy_memory, filter_memory, readings_memory)
 
 
 def advance(parts: Parts, state: State) -> Cycle:
     """Run one cycle. Raises a DafwError that says at which time and in which phase it failed."""
     streams, cycle = parts.streams, state.cycle
     belief, truth, free = state.belief, state.truth, state.free
-    clock = _Clock(belief.ensemble.time)
-    roles = ("policy", "observation noise", "filter")
-    policy_rng, noise_rng, filter_rng = (streams.generator(role, cycle) for role in roles)
+    now = belief.ensemble.time
+    clock = _Clock(now)
 
     with clock.phase("decide", parts.policy):
-        route = parts.policy.route(belief.ensemble, state.vehicle, state.policy_memory, policy_rng)
+        outlook = Outlook(belief, state.vehicle, state.policy_memory, cycle, parts.rerun)
+        rng = streams.generator("policy", cycle)
+        route = parts.policy.route(belief.ensemble, state.vehicle, state.policy_memory, rng, outlook)
     with clock.phase("observe", parts.observer):
-        operator = parts.observer.look(parts.model.space, route, belief.ensemble.time)
-        noise = colour(operator.noise, noise_rng.standard_normal(operator.size))
+        operator = parts.observer.look(parts.model.space, route, now)
     with clock.phase("forecast", parts.model):
-        now, errors = belief.ensemble.time, streams.members("model error", cycle)
-        belief_step = parts.executor.submit(parts.model, belief.ensemble.members, belief.memory, now, errors)
-    # While workers are at it, this process has the truth and the free run. All steps come before the checks: a step
-    # sweeps the processor's caches, and what stands between two of them runs from memory.
-    with clock.phase("truth", parts.truth):
-        now, errors = truth.ensemble.time, streams.members("truth error", cycle)
-        truth_step = parts.truth.step_with_memory(truth.ensemble.members, truth.memory, now, errors)
-    if parts.free and free:
+        errors = streams.members(MODEL_ERROR, cycle)
+        stepped = parts.executor.submit(parts.model, Batch(belief.ensemble.members, belief.memory, now, errors))
+    # While workers are at it, this process has the truth and the free run.
+    if parts.truth is not None and truth is not None:
+        with clock.phase("truth", parts.truth):
+            truth = parts.truth.forecast(truth.ensemble, truth.memory, streams.members("truth error", cycle))
+    if parts.free is not None and free is not None:
         with clock.phase("free", parts.free):
             free = parts.free.forecast(free.ensemble, free.memory, streams.members("free error", cycle))
-    with clock.phase("truth", parts.truth):
-        truth = parts.truth.stepped(truth.ensemble, truth_step)
     with clock.phase("forecast", parts.model):
-        forecast = parts.model.stepped(belief.ensemble, belief_step())
+        forecast = parts.model.stepped(belief.ensemble, stepped().steps[-1])
+    with clock.phase("observe", parts.readings):
+        truth_seen = parts.seen(truth)
+        end = forecast.ensemble.time
+        request = Request(cycle, now, end, parts.model.space, parts.model.domain, operator, truth_seen)
+        taken = parts.readings.collect(request, state.readings_memory, streams.generator("observation noise", cycle))
+        reach = [*(past.number for past in state.past), cycle] if parts.filter.window != 0 else [cycle]
+        readings = sort_by_cycle(taken.observations, request, parts.model.dt, reach, parts.late_readings)
     with clock.phase("observe", parts.observer):
-        readings = parts.observer.read(operator, truth.ensemble)[0] + noise
-        observation = Observation(readings, operator, forecast.ensemble.time)
-        predicted = parts.observer.read(operator, forecast.ensemble)
+        predicted = parts.observer.read(readings.now.operator, forecast.ensemble)
     with clock.phase("analyse", parts.filter):
-        analysis = parts.filter.update(forecast.ensemble, predicted, observation, state.filter_memory, filter_rng)
+        rng = streams.generator("filter", cycle)
+        past: tuple[PastCycle, ...] = ()
+        if parts.filter.window == 0:
+            analysis = parts.filter.update(forecast.ensemble, predicted, readings.now, state.filter_memory, rng)
+        else:
+            past = _with_late((*state.past, PastCycle(cycle, belief, readings.now)), readings.late)
+            window = Window(past, forecast, predicted, readings.late, state.filter_memory, parts.rerun)
+            analysis = parts.filter.look_back(window, rng)
+            past = _kept(parts.filter, past, analysis)
 
-    posterior = Ensemble(analysis.members, forecast.ensemble.space, forecast.ensemble.time)
+    posterior = forecast.ensemble.with_members(analysis.members, analysis.weights)
+    model_memory = forecast.memory if analysis.model_memory is None else analysis.model_memory
     after = State(
         cycle=cycle + 1,
-        belief=Forecast(posterior, forecast.memory),
-        truth=Forecast(truth.ensemble, truth.memory),
+        belief=Forecast(posterior, model_memory),
+        truth=Forecast(truth.ensemble, truth.memory) if truth else None,
         free=free,
         vehicle=state.vehicle.moved(route.ends),
         policy_memory=route.memory,
         filter_memory=analysis.memory,
+        readings_memory=taken.memory,
+        past=past,
     )
-    diagnostics = {"policy": route.diagnostics, "model": forecast.diagnostics, "filter": analysis.diagnostics}
-    return Cycle(after, forecast.ensemble, route, observation, predicted, diagnostics, clock.seconds)
+    diagnostics = {
+        "policy": route.diagnostics,
+        "model": forecast.diagnostics,
+        "observer": operator.diagnostics,
+        "filter": analysis.diagnostics,
+    }
+    notes = (*route.notes, *taken.notes)
+    return Cycle(
+        after, forecast.ensemble, truth_seen, route, readings, predicted, analysis, diagnostics, notes, clock.seconds
+    )
+
+
+def _with_late(past: tuple[PastCycle, ...], late: Sequence[tuple[int, Observation]]) -> tuple[PastCycle, ...]:
+    """Return the past with late readings added to the cycles that they belong to."""
+    cycles = {one.number: one for one in past}
+    for number, observation in late:
+        cycles[number] = cycles[number].with_readings(observation)
+    return tuple(cycles.values())
+
+
+def _kept(filter_: Filter, past: Sequence[PastCycle], analysis: Analysis) -> tuple[PastCycle, ...]:
+    """Return what the next cycle's window needs of this one's: revised beliefs, and no more cycles than it asks for."""
+    if filter_.window is not None:
+        past = past[max(0, len(past) - (filter_.window - 1)) :]
+    kept = []
+    for place, one in enumerate(past):
+        needed = filter_.past_beliefs == "all" or filter_.window is not None or place == 0
+        kept.append(one.with_belief(analysis.revised.get(one.number, one.belief) if needed else None))
+    return tuple(kept)

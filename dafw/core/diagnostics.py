@@ -1,22 +1,26 @@
-"""Scores of a belief against the truth."""
+"""Scores of a belief: against the truth where there is one, and against its readings."""
 
 from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from dafw.core.ensemble import Ensemble
+from dafw.core.observation import Observation
 from dafw.core.space import Array, StateSpace
 
 SCORES = ("err", "err_forecast", "err_free", "rmse", "spread")
+INNOVATION = ("innovation_mean", "innovation_rms")
 
 
-def relative_error(truth: Array, estimate: Array) -> float:
-    """Return ERR = |truth - estimate|_2 / |truth|_2 in per cent; NaN where the truth vanishes.
+def relative_error(truth: Array, difference: Array) -> float:
+    """Return ERR = |difference|_2 / |truth|_2 in per cent; NaN where the truth vanishes or a number is missing.
 
     Both (n,). Gioia et al. (2024), Sec. IV-B, doi:10.1109/SDF63218.2024.10773899.
     """
     size = _norm(truth)
-    return _norm(truth - estimate) / size * 100.0 if size > 0.0 else float("nan")
+    return _norm(difference) / size * 100.0 if size > 0.0 else float("nan")
 
 
 def root_mean_square(values: Array) -> float:
@@ -24,18 +28,47 @@ def root_mean_square(values: Array) -> float:
     return _norm(values) / math.sqrt(values.size)
 
 
+def error_of(space: StateSpace, truth: Array, estimate: Array) -> float:
+    """Return ERR of the first variable of the state (per cent); both (n,). Angles are compared the short way round."""
+    part = space.slice(space.variables[0].name)
+    return relative_error(truth[part], space.difference(truth, estimate)[part])
+
+
 def scores(
-    space: StateSpace, truth: Array, belief: Ensemble, forecast: Ensemble | None, free: Ensemble | None
+    space: StateSpace, truth: Array | None, belief: Ensemble, forecast: Ensemble | None, free: Ensemble | None
 ) -> dict[str, float]:
     """Return ``SCORES`` of the first variable of the state; NaN for what is missing. ``truth`` is (n,)."""
     part = space.slice(space.variables[0].name)
-    return {
-        "err": relative_error(truth[part], belief.mean[part]),
-        "err_forecast": relative_error(truth[part], forecast.mean[part]) if forecast else float("nan"),
-        "err_free": relative_error(truth[part], free.members[0, part]) if free else float("nan"),
-        "rmse": root_mean_square(space.difference(belief.mean, truth)[part]),
-        "spread": root_mean_square(belief.spread[part]),
-    }
+    found = dict.fromkeys(SCORES, float("nan"))
+    found["spread"] = root_mean_square(belief.spread[part])
+    if truth is None:
+        return found
+    found["err"] = error_of(space, truth, belief.mean)
+    found["rmse"] = root_mean_square(space.difference(belief.mean, truth)[part])
+    if forecast:
+        found["err_forecast"] = error_of(space, truth, forecast.mean)
+    if free:
+        found["err_free"] = error_of(space, truth, free.members[0])
+    return found
+
+
+def innovation_scores(observation: Observation, forecast: Ensemble, predicted: Array) -> dict[str, float]:
+    """Return ``INNOVATION``: mean and root mean square of the normalised innovations; NaN without readings.
+
+    An innovation y - mean(H x) is divided by the standard deviation that the forecast expects it to have, the root of
+    its predicted variance plus that of R. ``predicted`` (N, m). Where the belief is honest, the mean is near 0 and the
+    root mean square near 1.
+    """
+    if observation.values.size == 0:
+        return dict.fromkeys(INNOVATION, float("nan"))
+    mean = forecast.average(predicted)
+    covariance = observation.covariance
+    expected = covariance if covariance.ndim == 1 else np.diag(covariance)
+    if len(forecast) > 1:
+        lost = 1.0 - 1.0 / forecast.effective_size  # of N members N - 1 are free
+        expected = expected + forecast.average((predicted - mean) ** 2) / max(lost, 1e-12)
+    normalised = (observation.values - mean) / np.sqrt(expected)
+    return {"innovation_mean": float(normalised.mean()), "innovation_rms": root_mean_square(normalised)}
 
 
 def _norm(values: Array) -> float:

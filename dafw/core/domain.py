@@ -34,9 +34,11 @@ class Domain:
         return np.array([Polygon(ring) for ring in self.obstacles], dtype=object)
 
     @cached_property
-    def _boxes(self) -> Array:
-        """Of each obstacle the numbers x_min, y_min, -x_max, -y_max, (K, 4)."""
-        return np.array([[*ring.min(axis=0), *-ring.max(axis=0)] for ring in self.obstacles]).reshape(-1, 4)
+    def _boxes(self) -> tuple[Array, Array]:
+        """The lowest and the highest corners of the obstacles' bounding boxes, both (K, 2)."""
+        lowest = np.array([ring.min(axis=0) for ring in self.obstacles]).reshape(-1, 2)
+        highest = np.array([ring.max(axis=0) for ring in self.obstacles]).reshape(-1, 2)
+        return lowest, highest
 
     def contains(self, point: Array) -> bool:
         """Say whether a point (2,) lies inside the rectangle, its rim included."""
@@ -47,9 +49,9 @@ class Domain:
         """Say whether the segment from ``start`` (2,) to ``end`` (2,) stays inside and touches no obstacle."""
         if not (self.contains(start) and self.contains(end)):
             return False
-        (x, y), (x_end, y_end) = map(float, start), map(float, end)
+        lowest, highest = self._boxes
         # Most legs are far from everything, and shapely need not be asked.
-        near = (self._boxes <= [max(x, x_end), max(y, y_end), -min(x, x_end), -min(y, y_end)]).all(axis=1)
+        near = ((lowest <= np.maximum(start, end)) & (highest >= np.minimum(start, end))).all(axis=1)
         return not (near.any() and self._touches(near, start, end))
 
     def _touches(self, near: NDArray[np.bool_], start: Array, end: Array) -> bool:

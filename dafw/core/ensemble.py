@@ -7,22 +7,44 @@ the next is a ``Memory``: named arrays that it hands out and takes back, never s
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from dafw.core.domain import Domain
+from dafw.core.errors import ContractError
 from dafw.core.space import Array, StateSpace
 
 type Memory = Mapping[str, Any]
 
 
 def freeze(array: Any) -> Array:
-    """Return ``array`` as float64 that cannot be written to, in C order: the order decides the bits of sums."""
+    """Return ``array`` as float64 that cannot be written to, in C order: the order decides the bits of sums.
+
+    An array that its owner can still write to is copied: theirs stays writable, and ours stays as it is.
+    """
     frozen = np.asarray(array, dtype=np.float64, order="C")
-    frozen.setflags(write=False)
+    if frozen.flags.writeable:
+        frozen = frozen.copy() if np.may_share_memory(frozen, array) else frozen
+        frozen.setflags(write=False)
+    return frozen
+
+
+def _frozen(fresh: Array) -> Array:
+    """Make an array read-only that was made a moment ago and that nobody else holds."""
+    fresh.setflags(write=False)
+    return fresh
+
+
+def points(array: Any, what: str) -> Array:
+    """Return ``array`` as frozen points (k, 2) in metres; raises ContractError, which says ``what`` they are."""
+    frozen = freeze(array)
+    if frozen.size == 0:
+        return frozen.reshape(0, 2)
+    if frozen.ndim != 2 or frozen.shape[1] != 2:
+        raise ContractError(f"{what} must be points (k, 2) in metres, got the shape {frozen.shape}")
     return frozen
 
 
@@ -46,17 +68,31 @@ type Diagnostics = Mapping[str, Diagnostic]
 class Ensemble:
     """Members (N, n) of a state space at a time in seconds.
 
+    ``weights`` (N,) add up to one; without them all members count alike. Raises ContractError for weights that are
+    negative, not finite, of another number or that do not add up to one.
+
     >>> belief = Ensemble([[1.0, 0.1], [3.0, 6.2]], StateSpace([Variable("x", 1), Variable("angle", 1, ANGLE)]))
     >>> belief.mean.round(3), belief.spread.round(3)
     (array([2.   , 0.008]), array([1.414, 0.13 ]))
+    >>> Ensemble(belief.members, belief.space, weights=[0.75, 0.25]).mean[0]
+    np.float64(1.5)
     """
 
     members: Array
     space: StateSpace
     time: float = 0.0
+    weights: Array | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "members", freeze(self.members))
+        if self.weights is None:
+            return
+        weights = freeze(self.weights)
+        if weights.shape != (len(self.members),):
+            raise ContractError(f"{len(self.members)} members must have as many weights, got the shape {weights.shape}")
+        if not ((weights >= 0.0).all() and abs(weights.sum() - 1.0) <= 1e-9):
+            raise ContractError(f"weights must not be negative and must add up to 1, got {weights.tolist()}")
+        object.__setattr__(self, "weights", weights)
 
     def __len__(self) -> int:
         return len(self.members)
@@ -64,24 +100,56 @@ class Ensemble:
     @cached_property
     def mean(self) -> Array:
         """The mean (n,); circular for angles."""
-        return freeze(self.space.mean(self.members))
+        return _frozen(self.space.mean(self.members, self.weights))
 
     @cached_property
     def anomalies(self) -> Array:
         """Members less their mean (N, n); wrapped for angles."""
-        return freeze(self.space.difference(self.members, self.mean))
+        return _frozen(self.space.difference(self.members, self.mean))
 
     @cached_property
     def variance(self) -> Array:
-        """Sample variance (n,); NaN for a single member."""
+        """Sample variance (n,), unbiased for independent members; NaN for a single member.
+
+        With weights w it is the weighted mean square over 1 - sum w^2, and zero where one member has all the weight.
+        """
         if len(self) < 2:
-            return freeze(np.full(self.space.size, np.nan))
-        return freeze(np.einsum("ij,ij->j", self.anomalies, self.anomalies) / (len(self) - 1))
+            return _frozen(np.full(self.space.size, np.nan))
+        if self.weights is None:
+            return _frozen(np.einsum("ij,ij->j", self.anomalies, self.anomalies) / (len(self) - 1))
+        rest = 1.0 - self.weights @ self.weights
+        mean_square = np.einsum("i,ij,ij->j", self.weights, self.anomalies, self.anomalies)
+        return _frozen(mean_square / rest if rest > 1e-12 else np.zeros(self.space.size))
 
     @cached_property
     def spread(self) -> Array:
         """Sample standard deviation (n,); NaN for a single member."""
-        return freeze(np.sqrt(self.variance))
+        return _frozen(np.sqrt(self.variance))
+
+    @property
+    def effective_size(self) -> float:
+        """How many members of equal weight would say as much: 1 / sum w^2."""
+        return float(len(self)) if self.weights is None else float(1.0 / (self.weights @ self.weights))
+
+    def quantile(self, probability: float) -> Array:
+        """Return the quantile (n,) of every number, angles counted from their circular mean.
+
+        With weights it is the smallest member whose weight, with that of all smaller ones, reaches ``probability``.
+        """
+        if self.weights is None:
+            deviation = np.quantile(self.anomalies, probability, axis=0)
+        else:
+            deviation = np.quantile(self.anomalies, probability, axis=0, weights=self.weights, method="inverted_cdf")
+        return _frozen(self.space.retract(self.mean, deviation))
+
+    def average(self, values: Array) -> Array:
+        """Return the mean (...) over the members of plain numbers ``values`` (N, ...), such as predicted readings."""
+        average: Array = values.mean(axis=0) if self.weights is None else np.tensordot(self.weights, values, axes=1)
+        return average
+
+    def with_members(self, members: Array, weights: Array | None = None) -> Ensemble:
+        """Return other members (M, n) of the same space at the same time."""
+        return Ensemble(members, self.space, self.time, weights)
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +157,7 @@ class Vehicle:
     """The vehicles as a policy sees them: ``positions`` (V, 2) in metres, ``speed`` in m/s.
 
     ``dt`` is the time to the next decision in seconds; ``airspace`` is where they may fly, None where nothing limits
-    them.
+    them. Raises ContractError for positions of another shape.
     """
 
     positions: Array
@@ -98,7 +166,7 @@ class Vehicle:
     airspace: Domain | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "positions", freeze(self.positions).reshape(-1, 2))
+        object.__setattr__(self, "positions", points(self.positions, "the positions of vehicles"))
 
     @property
     def reach(self) -> float:
@@ -114,7 +182,8 @@ class Vehicle:
 class Route:
     """What the vehicles fly until the next decision: for each a polyline (k, 2) in metres that begins where it is.
 
-    ``notes`` are sentences for the log (a vehicle that found every way blocked says so).
+    ``notes`` are sentences for the log (a vehicle that found every way blocked says so). ``dt`` is how long it takes
+    in seconds; the framework sets it before an observer is told. Raises ContractError for paths of another shape.
 
     >>> Route((np.array([[0.0, 0.0], [3.0, 4.0]]),)).ends
     array([[3., 4.]])
@@ -124,9 +193,11 @@ class Route:
     memory: Memory | None = None
     diagnostics: Diagnostics = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    dt: float = 0.0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "paths", tuple(freeze(path).reshape(-1, 2) for path in self.paths))
+        paths = tuple(points(path, f"the path of vehicle {number}") for number, path in enumerate(self.paths))
+        object.__setattr__(self, "paths", paths)
 
     @property
     def ends(self) -> Array:
@@ -136,7 +207,7 @@ class Route:
     @classmethod
     def hover(cls, vehicle: Vehicle) -> Route:
         """Return the route on which every vehicle stays where it is."""
-        return cls(tuple(position[np.newaxis] for position in vehicle.positions))
+        return cls(tuple(position[np.newaxis] for position in vehicle.positions), dt=vehicle.dt)
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,16 +221,27 @@ class Step:
 
 @dataclass(frozen=True, eq=False)
 class Forecast:
-    """An ensemble that a model has stepped, with the model's memory and diagnostics."""
+    """An ensemble that a model has stepped, with the model's memory and diagnostics.
+
+    The same is a belief after an analysis: with the memory from which the model goes on.
+    """
 
     ensemble: Ensemble
     memory: Memory | None = None
     diagnostics: Diagnostics = field(default_factory=dict)
 
+    def with_members(self, members: Array, weights: Array | None = None) -> Forecast:
+        """Return other members (N, n), as many as before, with the same memory."""
+        return replace(self, ensemble=self.ensemble.with_members(members, weights))
+
 
 @dataclass(frozen=True, eq=False)
 class Analysis:
     """What a filter returns: the members (N, n) once the readings are in; what to remember and to record.
+
+    ``weights`` (N,) add up to one; None: all members count alike. A filter that looks back may also hand out
+    ``revised``, beliefs at earlier times by the number of cycles that were done by then, and ``model_memory``, which
+    goes with the new members; None: the forecast's memory does.
 
     >>> Analysis(np.zeros((2, 1)), diagnostics={"rank": Diagnostic(1)}).members.shape
     (2, 1)
@@ -168,3 +250,6 @@ class Analysis:
     members: Array
     memory: Memory | None = None
     diagnostics: Diagnostics = field(default_factory=dict)
+    weights: Array | None = None
+    revised: Mapping[int, Forecast] = field(default_factory=dict)
+    model_memory: Memory | None = None

@@ -52,6 +52,10 @@ class ContractError(ComputationError):
     """A plugin broke its interface: wrong shape, non-finite numbers, changed inputs. The message names the plugin."""
 
 
+class DivergenceError(ComputationError):
+    """A belief has left all sense: its numbers are far beyond what the model can produce."""
+
+
 class RecordError(ComputationError):
     """A run cannot be written on: the disk is full, say."""
 

@@ -1,7 +1,7 @@
-"""From a composed configuration to the parts of a cycle.
+"""From a composed configuration to a study.
 
-``Study`` is the whole of what a configuration may say; ``study_from`` checks it without computing anything, and
-``assemble`` builds the plugins. Configuration holds names and numbers only: which code runs is decided by the registry.
+``StudyOptions`` is the whole of what a configuration may say; ``study_from`` checks it and makes the plugins, without
+computing anything. Configuration holds names and numbers only: which code runs is decided by the registry.
 """
 
 from __future__ import annotations
@@ -11,17 +11,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-
-from dafw.core.cycle import Parts
-from dafw.core.ensemble import Route, Vehicle
 from dafw.core.errors import ConfigurationError
-from dafw.core.executors import make_executor
-from dafw.core.interfaces import Filter, Model, Observer, Policy
+from dafw.core.interfaces import Model
+from dafw.core.late import LATE_CHOICES
 from dafw.core.options import build, merged, option
-from dafw.core.registry import KINDS, registry
-from dafw.core.rng import Streams
+from dafw.core.registry import registry
 from dafw.core.sharing import together
+from dafw.core.study import RECORDED, Study
 
 NAME = re.compile(r"[\w.-]{1,100}")
 
@@ -38,13 +34,11 @@ class VehicleOptions:
 class RecordOptions:
     """What ``run.nc`` keeps beyond means and spreads."""
 
-    members: str = option(
-        "parameters", "state variables of which every member is kept", choices=("none", "parameters", "all")
-    )
+    members: str = option("parameters", "state variables of which every member is kept", choices=RECORDED)
 
 
 @dataclass
-class Study:
+class StudyOptions:
     """Everything that a study's configuration may say."""
 
     name: str = option("study", "name of the study, for folders and titles")
@@ -52,12 +46,19 @@ class Study:
     members: int = option(10, "number N of ensemble members", minimum=1)
     cycles: int = option(100, "number of cycles", minimum=1)
     model: dict[str, Any] = option({}, "the model's name and options")
-    truth: dict[str, Any] = option({}, "options in which the truth differs from the model")
+    truth: dict[str, Any] | None = option({}, "options in which the truth differs from the model; null: no truth")
     free: dict[str, Any] | None = option({}, "options in which the free run differs from the model; null: no free run")
     observer: dict[str, Any] = option({}, "the observer's name and options")
     policy: dict[str, Any] = option({}, "the policy's name and options")
     filter: dict[str, Any] = option({}, "the filter's name and options")
+    readings: dict[str, Any] = option({"name": "twin"}, "the name and options of where the readings come from")
     executor: dict[str, Any] = option({"name": "serial"}, "the name and options of what steps the members")
+    late_readings: str = option(
+        "drop",
+        "a reading that comes too late for the filter to look back to: drop it, or use it now",
+        choices=LATE_CHOICES,
+    )
+    score_truth: bool = option(False, "make the truth to score against it, although the readings do not come from it")
     vehicle: VehicleOptions = field(default_factory=VehicleOptions)
     record: RecordOptions = field(default_factory=RecordOptions)
     section: list[list[float]] = option([], "corners [[x, y], ...] of the polyline of the section picture, in metres")
@@ -69,80 +70,60 @@ def _variant(model: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, 
     return dict(changes) if changes.get("name", model.get("name")) != model.get("name") else merged(model, changes)
 
 
-def study_from(config: Mapping[str, Any]) -> Study:
-    """Check a composed configuration as far as that is possible without computing; raises ConfigurationError."""
-    study = build(Study, config, "study")
-    for label, points in (("vehicle.start", study.vehicle.start), ("section", study.section)):
+def options_from(config: Mapping[str, Any]) -> StudyOptions:
+    """Check a composed configuration as far as that is possible without its plugins; raises ConfigurationError."""
+    options = build(StudyOptions, config, "study")
+    for label, points in (("vehicle.start", options.vehicle.start), ("section", options.section)):
         if any(len(point) != 2 for point in points):
             raise ConfigurationError(f"{label} must be [[x, y], ...] in metres, got {points}")
-    if len(study.section) == 1:
-        raise ConfigurationError(f"section needs two corners or more, got {study.section}")
-    if not NAME.fullmatch(study.name):
-        raise ConfigurationError(f"name must be of letters, digits and . _ - (it names a folder), got '{study.name}'")
-    for kind in KINDS:
-        registry().create(kind, getattr(study, kind))
-    make_executor(study.executor)
-    _models(study)
-    registry().create("filter", study.filter).require_members(study.members)
-    return study
+    if len(options.section) == 1:
+        raise ConfigurationError(f"section needs two corners or more, got {options.section}")
+    if not NAME.fullmatch(options.name):
+        raise ConfigurationError(f"name must be of letters, digits and . _ - (it names a folder), got '{options.name}'")
+    return options
 
 
-def _models(study: Study) -> tuple[Model, Model, Model | None]:
+def study_from(config: Mapping[str, Any]) -> Study:
+    """Check a composed configuration as far as that is possible without computing, and make the study's plugins.
+
+    Raises ConfigurationError.
+    """
+    options = options_from(config)
+    made = {
+        kind: registry().create(kind, getattr(options, kind))
+        for kind in ("observer", "policy", "filter", "readings", "executor")
+    }
+    with_truth = options.truth is not None and (made["readings"].needs_truth or options.score_truth)
+    return Study(
+        **_models(options, with_truth),
+        **made,
+        start=options.vehicle.start,
+        speed=options.vehicle.speed,
+        members=options.members,
+        cycles=options.cycles,
+        seed=options.seed,
+        late_readings=options.late_readings,
+        record=options.record.members,
+        section=options.section,
+        pictures=options.pictures,
+        name=options.name,
+        configuration=dict(config),
+    )
+
+
+def _models(options: StudyOptions, with_truth: bool) -> dict[str, Any]:
     """Make the model, the truth and the free run, which share what they have in common."""
 
     def make(role: str, changes: Mapping[str, Any]) -> Model:
         try:
-            model: Model = registry().create("model", _variant(study.model, changes))
+            model: Model = registry().create("model", _variant(options.model, changes))
         except ConfigurationError as error:
             raise type(error)(f"{role}: {error}" if changes else str(error)) from error
         return model
 
     with together():
-        return make("model", {}), make("truth", study.truth), None if study.free is None else make("free", study.free)
-
-
-def assemble(study: Study, communicator: Any = None) -> tuple[Parts, Vehicle]:
-    """Build the parts of a cycle and place the vehicles; raises a DafwError that names the plugin.
-
-    The ranks of an MPI ``communicator``, which call together, share the work of the models.
-    """
-    model, truth, free = _models(study)
-    if communicator is not None:
-        if study.executor.get("name") != "serial":
-            raise ConfigurationError(f"mpirun expects the executor 'serial', got '{study.executor.get('name')}'")
-        for shared in (model, truth, free):
-            if shared is not None:
-                shared.share(communicator)
-    for label, other in (("truth", truth), ("free run", free)):
-        if other is not None and not (other.space.agrees(model.space) and other.dt == model.dt):
-            raise ConfigurationError(
-                f"the {label} has {other.space!r} and dt = {other.dt:g} s, "
-                f"the model {model.space!r} and {model.dt:g} s: they must agree, in their coordinates too"
-            )
-    for role, asked in (("", model), ("truth: ", truth), ("free: ", free)):
-        try:
-            if asked is not None:
-                asked.require_available()
-        except ConfigurationError as error:  # the model was asked first
-            raise type(error)(f"{role}{error}") from error
-    observer: Observer = registry().create("observer", study.observer)
-    policy: Policy = registry().create("policy", study.policy)
-    filter_: Filter = registry().create("filter", study.filter)
-    executor = make_executor(study.executor)
-    parts = Parts(model, truth, free, observer, policy, filter_, Streams(study.seed), executor)
-    positions = np.array(study.vehicle.start, dtype=np.float64).reshape(-1, 2)
-    for number, position in enumerate(positions):
-        if model.domain is not None and not model.domain.is_free(position, position):
-            raise ConfigurationError(
-                f"vehicle {number} cannot start at {position.tolist()}: that is inside a building or outside the "
-                f"domain {[round(bound, 1) for bound in model.domain.bounds]}"
-            )
-    for corner in study.section:
-        if model.domain is not None and not model.domain.contains(np.array(corner)):
-            raise ConfigurationError(f"the section's corner {corner} lies outside the domain {model.domain.bounds}")
-    vehicle = Vehicle(positions, study.vehicle.speed, model.dt, model.domain)
-    observer.suit(model.space, model.dt)
-    observer.look(model.space, Route.hover(vehicle), 0.0)
-    policy.suit(model.space)
-    filter_.suit(model.space, study.members)
-    return parts, vehicle
+        return {
+            "model": make("model", {}),
+            "truth": make("truth", options.truth or {}) if with_truth else None,
+            "free": None if options.free is None else make("free", options.free),
+        }

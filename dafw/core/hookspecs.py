@@ -20,7 +20,7 @@ hookimpl = pluggy.HookimplMarker("dafw")
 
 @dataclass(frozen=True)
 class PluginSpec:
-    """One plugin: its kind (model, observer, policy, filter), its name and where its class is.
+    """One plugin: its kind (model, observer, policy, filter, readings, executor), its name and where its class is.
 
     ``target`` is ``package.module:Class``. It is imported when its options or the plugin itself are asked for, so
     that registering costs nothing. ``summary`` is one line for ``dafw plugins``.

@@ -6,13 +6,14 @@ twin experiment's readings are drawn. They are the same unless a study sets them
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 
-from dafw.core.ensemble import freeze
-from dafw.core.errors import ConfigurationError
+from dafw.core.ensemble import Diagnostics, freeze
+from dafw.core.errors import ConfigurationError, ContractError
 from dafw.core.space import Array, IntArray
 
 
@@ -20,12 +21,14 @@ from dafw.core.space import Array, IntArray
 class ObservationOperator:
     """Base of all operators H. ``coordinates`` (m, d) place the readings, NaN or None where they have no place.
 
-    Raises ConfigurationError for a covariance that is neither (m,) nor (m, m) or whose diagonal is not above zero.
+    ``diagnostics`` are what an observer reports about the cycle, recorded under ``observer``. Raises
+    ConfigurationError for a covariance that is neither (m,) nor (m, m) or whose diagonal is not above zero.
     """
 
     covariance: Array
     noise_covariance: Array | None = None
     coordinates: Array | None = None
+    diagnostics: Diagnostics = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "covariance", freeze(self.covariance))
@@ -71,6 +74,18 @@ class Selection(ObservationOperator):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
+class Interpolation(ObservationOperator):
+    """Reads weighted sums of a few entries: reading i is sum_k weights[i, k] state[indices[i, k]], both (m, k)."""
+
+    indices: IntArray
+    weights: Array
+
+    def apply(self, members: Array) -> Array:
+        """Return the interpolated values (N, m)."""
+        return np.asarray(np.einsum("imk,mk->im", members[:, self.indices], self.weights))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Stacked(ObservationOperator):
     """Several operators, one below the other; their errors are independent of each other."""
 
@@ -82,14 +97,28 @@ class Stacked(ObservationOperator):
 
 
 def stack(parts: tuple[ObservationOperator, ...]) -> ObservationOperator:
-    """Return one operator for all parts, in their order."""
+    """Return one operator for all parts, in their order. Of diagnostics of the same name the first stay."""
     coordinates = _stacked_coordinates(parts)
-    covariance = _block_diagonal([part.covariance for part in parts])
-    noise = _block_diagonal([part.noise for part in parts])
+    covariance = block_diagonal([part.covariance for part in parts])
+    noise = block_diagonal([part.noise for part in parts])
+    diagnostics = {name: value for part in reversed(parts) for name, value in part.diagnostics.items()}
     if all(isinstance(part, Selection) for part in parts):
         indices = np.concatenate([part.indices for part in parts if isinstance(part, Selection)])
-        return Selection(indices=indices, covariance=covariance, noise_covariance=noise, coordinates=coordinates)
-    return Stacked(parts=parts, covariance=covariance, noise_covariance=noise, coordinates=coordinates)
+        return Selection(
+            indices=indices,
+            covariance=covariance,
+            noise_covariance=noise,
+            coordinates=coordinates,
+            diagnostics=diagnostics,
+        )
+    return Stacked(
+        parts=parts, covariance=covariance, noise_covariance=noise, coordinates=coordinates, diagnostics=diagnostics
+    )
+
+
+def nothing() -> Selection:
+    """Return the operator of no readings at all."""
+    return Selection(indices=np.empty(0, dtype=np.int64), covariance=np.empty(0))
 
 
 def _stacked_coordinates(parts: tuple[ObservationOperator, ...]) -> Array | None:
@@ -102,21 +131,22 @@ def _stacked_coordinates(parts: tuple[ObservationOperator, ...]) -> Array | None
     return np.concatenate([n if c is None else c for n, c in zip(nowhere, given, strict=True)])
 
 
-def _block_diagonal(blocks: list[Array]) -> Array:
+def block_diagonal(blocks: Sequence[Array]) -> Array:
+    """Return covariances (m_i,) or (m_i, m_i) as one: (m,) where all are diagonal, else (m, m)."""
     if all(block.ndim == 1 for block in blocks):
-        return np.concatenate(blocks)
-    sizes = np.cumsum([0] + [len(block) for block in blocks])
-    joined = np.zeros((sizes[-1], sizes[-1]))
-    for start, stop, block in zip(sizes[:-1], sizes[1:], blocks, strict=True):
-        joined[start:stop, start:stop] = np.diag(block) if block.ndim == 1 else block
-    return joined
+        return np.concatenate(blocks) if blocks else np.empty(0)
+    from scipy.linalg import block_diag
+
+    return np.asarray(block_diag(*(np.diag(block) if block.ndim == 1 else block for block in blocks)))
 
 
 def whiten(covariance: Array, rows: Array) -> Array:
     """Return L^-1 applied to each of the rows (m,) or (N, m), where L L^T = covariance: unit error variance."""
     if covariance.ndim == 1:
         return np.asarray(rows / np.sqrt(covariance))
-    return np.asarray(np.linalg.solve(np.linalg.cholesky(covariance), rows.T).T)
+    from scipy.linalg import solve_triangular
+
+    return np.asarray(solve_triangular(np.linalg.cholesky(covariance), rows.T, lower=True).T)
 
 
 def colour(covariance: Array, rows: Array) -> Array:
@@ -141,8 +171,23 @@ class Observation:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "values", freeze(self.values))
+        if self.values.shape != (self.operator.size,):
+            raise ContractError(
+                f"an observation must have the {self.operator.size} values of its operator, "
+                f"got the shape {self.values.shape}"
+            )
 
     @cached_property
     def covariance(self) -> Array:
         """R as the filter is told: (m,) where diagonal, else (m, m)."""
         return self.operator.covariance
+
+
+def merged_observations(observations: Sequence[Observation], time: float) -> Observation:
+    """Return the readings of several observations as one at ``time`` (s); a single one of that time as it is."""
+    if len(observations) == 1 and observations[0].time == time:
+        return observations[0]
+    if not observations:
+        return Observation(np.empty(0), nothing(), time)
+    values = np.concatenate([observation.values for observation in observations])
+    return Observation(values, stack(tuple(observation.operator for observation in observations)), time)

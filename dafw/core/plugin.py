@@ -1,4 +1,4 @@
-"""What the four kinds of plugins share: their name in messages, and the checks of what they return."""
+"""What all kinds of plugins share: their name in messages, and the checks of what they return."""
 
 from __future__ import annotations
 
@@ -9,12 +9,15 @@ from typing import Any, ClassVar
 import numpy as np
 
 from dafw.core.ensemble import Diagnostic, Diagnostics
-from dafw.core.errors import ContractError
-from dafw.core.space import Array
+from dafw.core.errors import ContractError, DivergenceError
+from dafw.core.space import Array, StateSpace
+
+SENSELESS = 1e3
+"""So many times what its variable calls plausible, a number has left all sense."""
 
 
 class Plugin:
-    """What all four kinds share: their kind, and the name under which they were registered.
+    """What all kinds share: their kind, and the name under which they were registered.
 
     ``expected_failures`` declares, by name and with a reason, the checks of ``dafw.testing`` that a plugin does not
     mean to pass; docs/conformance.md lists the checks.
@@ -57,3 +60,19 @@ class Plugin:
                     f"{self.label}: diagnostic '{name}' must hold numbers with one of its dims {diagnostic.dims} for "
                     f"each axis, got the type {values.dtype} and the shape {values.shape}"
                 )
+
+
+def described(space: StateSpace, members: Array) -> str:
+    """Say which of the numbers (N, n) is the most extreme: variable, node, member and value."""
+    member, entry = space.farthest(members)
+    return f"{space.place_of(entry)} of member {member}: {members[member, entry]:.6g}"
+
+
+def require_sense(plugin: Plugin, space: StateSpace, members: Array) -> None:
+    """Raise DivergenceError where one of the members (N, n), which are finite, is far beyond what is plausible."""
+    excess = space.excess(members)
+    if excess > SENSELESS:
+        raise DivergenceError(
+            f"{plugin.label}: the numbers have left all sense: {described(space, members)} is {excess:.3g} times the "
+            f"largest value that is plausible"
+        )

@@ -1,8 +1,9 @@
 """What a run keeps of its cycles, written while it goes on and read by plain xarray. docs/run-file.md lists the names.
 
-Row k of ``time`` is the state after k cycles. Fields are stored in single precision, parameters and scores in double.
-Rows are kept back until one comes ``FLUSH_SECONDS`` after the last writing, and then written and synchronised; a run
-killed at any moment leaves a file that opens.
+Row k of ``time`` is the state after k cycles, as it was known then. Fields are stored in single precision, parameters
+and scores in double. Rows are kept back until one comes ``FLUSH_SECONDS`` after the last writing, and then written and
+synchronised; a run killed at any moment leaves a file that opens. Beliefs that a filter revises later go to the row
+that they belong to, under names of their own, with the same writing.
 """
 
 from __future__ import annotations
@@ -15,7 +16,9 @@ from typing import Any
 import numpy as np
 
 from dafw.core.cycle import PHASES, Cycle, Parts, State
-from dafw.core.diagnostics import SCORES, scores
+from dafw.core.diagnostics import INNOVATION, SCORES, error_of, innovation_scores, scores
+from dafw.core.ensemble import Ensemble
+from dafw.core.observation import Observation, Selection
 from dafw.core.run_file import RunFile
 from dafw.core.space import Array
 
@@ -36,6 +39,7 @@ class Record:
         attributes: Mapping[str, str | int],
     ) -> None:
         self._space, self._whole = parts.model.space, tuple(whole)
+        self._has_truth, self._smooths = parts.truth is not None, parts.filter.window != 0
         self._file = RunFile(
             path,
             parts,
@@ -46,79 +50,143 @@ class Record:
             attributes=attributes,
         )
         self._rows: list[dict[str, Any]] = []
+        self._revised: dict[int, Ensemble] = {}
         self._flushed = perf_counter()
         self._recording = 0.0
-        self._append(state, None, {})
+        self._append(state, parts.seen(state.truth), None)
         self.flush()
 
     def append(self, cycle: Cycle) -> dict[str, float]:
         """Add a finished cycle; return its scores."""
         begun = perf_counter()
-        row = self._append(cycle.state, cycle, {})
+        row = self._append(cycle.state, cycle.truth, cycle)
+        self._revised.update({done: belief.ensemble for done, belief in cycle.analysis.revised.items()})
         if perf_counter() - self._flushed > FLUSH_SECONDS:
             self.flush()
         self._recording = perf_counter() - begun
-        return {name: row[name] for name in SCORES}
+        return {name: row[name] for name in (*SCORES, *INNOVATION) if name in row}
 
-    def _append(self, state: State, cycle: Cycle | None, row: dict[str, Any]) -> dict[str, Any]:
-        belief, truth = state.belief.ensemble, state.truth.ensemble
+    def _append(self, state: State, truth: Ensemble | None, cycle: Cycle | None) -> dict[str, Any]:
+        belief = state.belief.ensemble
         free = state.free.ensemble if state.free else None
         forecast = cycle.forecast if cycle else None
         stages: dict[str, Array | None] = {
-            "truth": truth.members[0],
+            "truth": truth.members[0] if truth else None,
             "free": free.members[0] if free else None,
             "forecast_mean": forecast.mean if forecast else None,
             "forecast_spread": forecast.spread if forecast else None,
             "mean": belief.mean,
             "spread": belief.spread,
         }
+        if self._smooths:
+            stages |= {"smoothed_mean": belief.mean, "smoothed_spread": belief.spread}
+        row: dict[str, Any] = {}
         for stage, vector in stages.items():
-            if vector is not None:
-                for name, values in self._space.unpack(vector).items():
-                    row[f"{name}_{stage}"] = _squeeze(values)
+            row |= self._unpacked(vector, stage) if vector is not None else {}
         for name in self._whole:
             row[f"{name}_members"] = _squeeze(belief.members[:, self._space.slice(name)])
+        if belief.weights is not None:
+            self._file.require_weights()
+            row["weight"] = belief.weights
         row["time"] = belief.time
         row["vehicle_x"], row["vehicle_y"] = state.vehicle.positions.T
-        row |= scores(self._space, truth.members[0], belief, forecast, free)
+        found = scores(self._space, truth.members[0] if truth else None, belief, forecast, free)
+        if not self._has_truth:
+            found = {"spread": found["spread"]}
+        elif free is None:
+            del found["err_free"]
+        row |= found
+        if self._smooths and self._has_truth:
+            row["err_smoothed"] = found["err"]
         if cycle is not None:
             row |= self._cycle_row(cycle)
         self._rows.append(row)
         return row
 
+    def _unpacked(self, vector: Array, stage: str) -> dict[str, Array]:
+        """Return a state (n,) as the row's variables of a stage."""
+        return {f"{name}_{stage}": _squeeze(values) for name, values in self._space.unpack(vector).items()}
+
     def _cycle_row(self, cycle: Cycle) -> dict[str, Any]:
-        operator = cycle.observation.operator
-        covariance = cycle.observation.covariance
         # How long recording took is known when it is done: the row after it says so.
         seconds = cycle.seconds | {"record": self._recording}
-        row: dict[str, Any] = {
-            "observation_value": cycle.observation.values,
-            "observation_forecast_mean": cycle.predicted.mean(axis=0),
-            "observation_variance": covariance if covariance.ndim == 1 else np.diag(covariance),
-            "phase_seconds": [seconds.get(phase, np.nan) for phase in PHASES],
-        }
-        if (indices := getattr(operator, "indices", None)) is not None:
-            row["observation_node"] = np.where(indices < self._space.variables[0].size, indices, -1)
-        if operator.coordinates is not None:
-            for axis, column in zip("xy", operator.coordinates.T, strict=False):
-                row[f"observation_{axis}"] = column
+        row: dict[str, Any] = {"phase_seconds": [seconds.get(phase, np.nan) for phase in PHASES]}
+        row |= self._observation_row(cycle)
+        row |= innovation_scores(cycle.observation, cycle.forecast, cycle.predicted)
         for kind, diagnostics in cycle.diagnostics.items():
             for name, diagnostic in diagnostics.items():
                 row[f"{kind}_{name}"] = values = np.asarray(diagnostic.values)
                 self._file.require(f"{kind}_{name}", diagnostic, values)
         return row
 
+    def _observation_row(self, cycle: Cycle) -> dict[str, Any]:
+        """Return the readings that became known in the cycle: those of now, late ones, and those that were dropped."""
+        readings = cycle.readings
+        known = [(readings.now, 0), *((one, 1) for _, one in readings.late), *((one, 2) for one in readings.dropped)]
+        expected = cycle.forecast.average(cycle.predicted)
+        unknown = [np.full(observation.values.size, np.nan) for observation, _ in known[1:]]
+        row: dict[str, Any] = {
+            "observation_value": np.concatenate([one.values for one, _ in known]),
+            "observation_forecast_mean": np.concatenate([expected, *unknown]),
+            "observation_variance": np.concatenate([_variances(one) for one, _ in known]),
+            "observation_time": np.concatenate([np.full(one.values.size, one.time) for one, _ in known]),
+            "observation_use": np.concatenate([np.full(one.values.size, use, dtype="i1") for one, use in known]),
+        }
+        entries = [one.operator.indices for one, _ in known if isinstance(one.operator, Selection)]
+        if len(entries) == len(known):
+            read = np.concatenate(entries)
+            row["observation_node"] = np.where(read < self._space.variables[0].size, read, -1)
+        for axis, letter in enumerate("xy"):
+            places = [_coordinate(one, axis) for one, _ in known]
+            if any(place is not None for place in places):
+                columns = [
+                    np.full(one.values.size, np.nan) if place is None else place
+                    for (one, _), place in zip(known, places, strict=True)
+                ]
+                row[f"observation_{letter}"] = np.concatenate(columns)
+        return row
+
     def flush(self) -> None:
-        """Write what is kept back and synchronise."""
+        """Write what is kept back, and revised beliefs to the rows that they belong to, and synchronise."""
         self._file.write(self._rows)
         self._rows.clear()
+        for done, belief in self._revised.items():
+            row: dict[str, Any] = self._unpacked(belief.mean, "smoothed_mean") | self._unpacked(
+                belief.spread, "smoothed_spread"
+            )
+            if self._has_truth:
+                row["err_smoothed"] = self._smoothed_error(done, belief)
+            self._file.rewrite(done, row)
+        if self._revised:
+            self._revised.clear()
+            self._file.write([])
         self._flushed = perf_counter()
+
+    def _smoothed_error(self, done: int, belief: Ensemble) -> float:
+        """Return ERR of a revised belief against the truth in the file, which is of single precision for fields."""
+        name = self._space.variables[0].name
+        part = self._space.slice(name)
+        truth: Array = np.full(self._space.size, np.nan)
+        truth[part] = self._file.read(f"{name}_truth", done)
+        return error_of(self._space, truth, belief.mean)
 
     def close(self) -> None:
         """Write the rest and close the file."""
         if self._file.is_open:
             self.flush()
             self._file.close()
+
+
+def _variances(observation: Observation) -> Array:
+    """Return the error variances (m,) that the filter is told."""
+    covariance = observation.covariance
+    return covariance if covariance.ndim == 1 else np.diag(covariance)
+
+
+def _coordinate(observation: Observation, axis: int) -> Array | None:
+    """Return one coordinate (m,) of where the readings were taken; None where they have no such place."""
+    places = observation.operator.coordinates
+    return None if places is None or places.shape[1] <= axis else places[:, axis]
 
 
 def _squeeze(values: Array) -> Array:

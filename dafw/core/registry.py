@@ -9,7 +9,7 @@ from __future__ import annotations
 import difflib
 import importlib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, fields, is_dataclass
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
@@ -18,12 +18,20 @@ import pluggy
 
 from dafw.core import hookspecs
 from dafw.core.errors import DafwError, OptionError, PluginError
+from dafw.core.executors import Executor
 from dafw.core.hookspecs import PluginSpec
-from dafw.core.interfaces import Filter, Model, Observer, Policy
+from dafw.core.interfaces import Filter, Model, Observer, Policy, Readings
 from dafw.core.options import Described, build, describe, schema
 from dafw.core.plugin import Plugin
 
-KINDS: dict[str, type[Plugin]] = {"model": Model, "observer": Observer, "policy": Policy, "filter": Filter}
+KINDS: dict[str, type[Plugin]] = {
+    "model": Model,
+    "observer": Observer,
+    "policy": Policy,
+    "filter": Filter,
+    "readings": Readings,
+    "executor": Executor,
+}
 GROUP = "dafw"
 
 
@@ -149,7 +157,9 @@ class Registry:
         options = dict(config)
         name = options.pop("name", None)
         if not isinstance(name, str):
-            raise PluginError(f"a {kind} needs a name ({self._nearest(kind, str(name))})")
+            raise PluginError(
+                f"{'an' if kind[0] in 'aeiou' else 'a'} {kind} needs a name ({self._nearest(kind, str(name))})"
+            )
         cls = self.plugin_class(kind, name)
         try:
             plugin = build(cls, options, f"{kind} '{name}'")
@@ -159,6 +169,22 @@ class Registry:
             raise PluginError(f"{kind} '{name}' cannot be made: {type(error).__name__}: {error}") from error
         plugin.name = name
         return plugin
+
+    def recipe(self, plugin: Plugin) -> dict[str, Any] | None:
+        """Return the configuration from which ``create`` makes the same plugin again; None for an unregistered class.
+
+        That is the name and the dataclass fields that its maker may set.
+        """
+        target = f"{type(plugin).__module__}:{type(plugin).__qualname__}"
+        for (kind, name), registered in self._plugins.items():
+            if kind == plugin.kind and registered.spec.target == target and is_dataclass(plugin):
+                return {"name": name, **{f.name: _plain(getattr(plugin, f.name)) for f in fields(plugin) if f.init}}
+        return None
+
+
+def _plain(value: Any) -> Any:
+    """Return options without dataclasses: as a configuration has them."""
+    return asdict(value) if is_dataclass(value) and not isinstance(value, type) else value
 
 
 @cache

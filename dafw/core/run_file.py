@@ -20,6 +20,8 @@ from dafw.core.space import Array, Kind, StateSpace, Variable
 from dafw.core.ugrid import write_domain
 
 CHUNK_NUMBERS = 4096
+USES = ("used", "used_in_window", "dropped")
+"""What became of a reading: used at the end of its row's cycle, late but within the filter's window, or not at all."""
 KIND_NOTES = {Kind.FIELD: "", Kind.NONNEGATIVE: "nonnegative", Kind.ANGLE: "angle in [0, 2 pi)"}
 STAGES = {
     "truth": "truth",
@@ -28,6 +30,8 @@ STAGES = {
     "forecast_spread": "standard deviation of the forecast",
     "mean": "mean of the analysis",
     "spread": "standard deviation of the analysis",
+    "smoothed_mean": "mean of the belief as last revised",
+    "smoothed_spread": "standard deviation of the belief as last revised",
 }
 
 
@@ -63,6 +67,8 @@ class RunFile:
         self._file.setncatts({"Conventions": "CF-1.11 UGRID-1.0", "scored_variable": scored, **attributes})
         self._places: dict[str, Array | None] = {}
         self._define_dimensions(n_members, n_vehicles)
+        absent = {"truth": parts.truth is None, "free": parts.free is None, "smoothed": parts.filter.window == 0}
+        self._stages = {name: text for name, text in STAGES.items() if not absent.get(name.split("_")[0])}
         self._define_states(space, whole, meshed=domain is not None and domain.triangles is not None)
         self._define_cycle_variables(scored, space.variables[0].units)
         if domain is not None:
@@ -93,7 +99,7 @@ class RunFile:
         return variable
 
     def _define(
-        self, name: str, dims: tuple[str, ...], dtype: str, units: str, long_name: str, **attributes: str
+        self, name: str, dims: tuple[str, ...], dtype: str, units: str, long_name: str, **attributes: Any
     ) -> None:
         """Define a variable over time."""
         sizes = [1 if self._file.dimensions[dim].isunlimited() else len(self._file.dimensions[dim]) for dim in dims]
@@ -140,7 +146,7 @@ class RunFile:
             if dims == ("node",) and meshed:
                 attributes |= {"mesh": "mesh2d", "location": "node"}
             dtype = "f4" if dims else "f8"
-            for stage, label in STAGES.items():
+            for stage, label in self._stages.items():
                 name, long_name = f"{variable.name}_{stage}", f"{title}, {label}"
                 self._define(name, ("time", *dims), dtype, variable.units, long_name, **attributes)
             if variable.name in whole:
@@ -149,10 +155,18 @@ class RunFile:
 
     def _define_cycle_variables(self, scored: str, units: str) -> None:
         self._define("time", ("time",), "f8", "s", "time since the start", axis="T")
-        for name, label in (("err", "belief"), ("err_forecast", "forecast"), ("err_free", "free run")):
-            long_name = f"relative l2 difference of the {label}'s {scored} from the truth"
-            self._define(name, ("time",), "f8", "percent", long_name)
-        self._define("rmse", ("time",), "f8", units, f"root mean square of the belief's {scored} less the truth's")
+        present = {stage.split("_")[0] for stage in self._stages}
+        compared = {"err": "belief", "err_forecast": "forecast", "err_free": "free run", "err_smoothed": "revision"}
+        scored_by = {"err_free": "free", "err_smoothed": "smoothed"}
+        if "truth" not in present:
+            compared = {}
+        for name, label in compared.items():
+            if scored_by.get(name, "truth") in present:
+                long_name = f"relative l2 difference of the {label}'s {scored} from the truth"
+                self._define(name, ("time",), "f8", "percent", long_name)
+        if compared:
+            title = f"root mean square of the belief's {scored} less the truth's"
+            self._define("rmse", ("time",), "f8", units, title)
         self._define("spread", ("time",), "f8", units, f"root mean square of the belief's spread of {scored}")
         for axis in "xy":
             self._define(f"vehicle_{axis}", ("time", "vehicle"), "f8", "m", f"{axis} coordinate of the vehicles")
@@ -165,6 +179,18 @@ class RunFile:
             ("observation_node", "i4", "node that was read, -1 for none"),
         ):
             self._define(name, ("time", "observation"), dtype, "1", long_name)
+        self._define("observation_time", ("time", "observation"), "f8", "s", "time of the readings")
+        self._define(
+            "observation_use",
+            ("time", "observation"),
+            "i1",
+            "1",
+            "what became of the readings",
+            flag_values=np.arange(3, dtype="i1"),
+            flag_meanings=" ".join(USES),
+        )
+        self._define("innovation_mean", ("time",), "f8", "1", "mean of the innovations over their expected spread")
+        self._define("innovation_rms", ("time",), "f8", "1", "root mean square of the innovations, likewise")
         self._define("phase_seconds", ("time", "phase"), "f8", "s", "wall time of the phases of a cycle")
 
     def require(self, name: str, diagnostic: Diagnostic, values: Any) -> None:
@@ -173,11 +199,18 @@ class RunFile:
             for dim, length in zip(diagnostic.dims, values.shape, strict=True):
                 if dim not in self._file.dimensions:
                     self._file.createDimension(dim, length)
-            dtype = {"f": "f8", "i": "i4", "u": "i4", "b": "i1"}[values.dtype.kind]
+            dtype = {"f": "f8", "i": "i8", "u": "i8", "b": "i1"}[values.dtype.kind]
             title = diagnostic.long_name or name.replace("_", " ")
             self._define(name, ("time", *diagnostic.dims), dtype, diagnostic.units, title)
         if values.shape != self._shapes[name]:
             raise ContractError(f"diagnostic '{name}' must have the shape {self._shapes[name]}, got {values.shape}")
+        if values.dtype.kind == "u" and values.size and values.max() > np.iinfo(np.int64).max:
+            raise ContractError(f"diagnostic '{name}' holds {values.max()}, a file holds whole numbers up to 2^63 - 1")
+
+    def require_weights(self) -> None:
+        """Define the members' weights where a belief has some for the first time."""
+        if "weight" not in self._shapes:
+            self._define("weight", ("time", "member"), "f8", "1", "weights of the members of the analysis")
 
     def write(self, rows: Sequence[Mapping[str, Any]]) -> None:
         """Add rows, each the values of variables by name, and synchronise; what a row leaves out stays missing."""
@@ -189,6 +222,15 @@ class RunFile:
                 self._file.variables[name][(slice(first, last), *map(slice, block.shape[1:]))] = block
         self._written = last
         self._file.sync()
+
+    def rewrite(self, row: int, values: Mapping[str, Any]) -> None:
+        """Write variables of a row that was written before; what is read next may be the old or the new."""
+        for name, value in values.items():
+            self._file.variables[name][row] = value
+
+    def read(self, name: str, row: int) -> Array:
+        """Return a variable of a row that was written before, as the file has it."""
+        return np.asarray(self._file.variables[name][row], dtype=np.float64)
 
     @property
     def is_open(self) -> bool:

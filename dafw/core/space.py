@@ -48,7 +48,9 @@ class Variable:
     """One named slice of the state.
 
     ``size`` numbers of one ``kind`` in ``units`` (UDUNITS spelling); ``coordinates`` is (size, d) in metres, or None
-    where the numbers have no place. Raises ConfigurationError where these do not fit together.
+    where the numbers have no place. ``plausible`` is the largest absolute value that the model itself can produce,
+    errors of its scheme included: a belief beyond it has diverged. Raises ConfigurationError where these do not fit
+    together.
 
     >>> Variable("speed", 2, NONNEGATIVE, "m s-1", np.array([[0.0, 0.0], [9.0, 0.0]])).nearest([[7.0, 1.0]])
     array([1])
@@ -60,12 +62,15 @@ class Variable:
     units: str = "1"
     coordinates: Array | None = None
     long_name: str = ""
+    plausible: float = np.inf
 
     def __post_init__(self) -> None:
         if not self.name.isidentifier():
             raise ConfigurationError(f"a variable's name must be an identifier, got {self.name!r}")
         if self.size < 1:
             raise ConfigurationError(f"variable '{self.name}' must have a size of at least 1, got {self.size}")
+        if not self.plausible > 0.0:
+            raise ConfigurationError(f"variable '{self.name}': plausible must be above zero, got {self.plausible}")
         if self.coordinates is not None and (self.coordinates.ndim != 2 or len(self.coordinates) != self.size):
             raise ConfigurationError(
                 f"variable '{self.name}': coordinates must have the shape ({self.size}, d), "
@@ -107,6 +112,7 @@ class StateSpace:
         self.size = start
         self._nonnegative = [self._slices[v.name] for v in self.variables if v.kind is NONNEGATIVE]
         self._angles = [self._slices[v.name] for v in self.variables if v.kind is ANGLE]
+        self._bounded = [(self._slices[v.name], v.plausible) for v in self.variables if v.plausible < np.inf]
 
     def __repr__(self) -> str:
         listed = ", ".join(f"{v.name} ({v.size}, {v.kind.value})" for v in self.variables)
@@ -148,13 +154,12 @@ class StateSpace:
         lead = np.broadcast_shapes(*(part.shape[:-1] for part in parts))
         return np.concatenate([np.broadcast_to(part, lead + part.shape[-1:]) for part in parts], axis=-1)
 
-    def mean(self, members: Array) -> Array:
-        """Return the mean (n,) over the members (N, n); circular for angles."""
-        # What members.mean(axis=0) does, at half its overhead.
-        mean: Array = np.add.reduce(members, axis=0) / len(members)
+    def mean(self, members: Array, weights: Array | None = None) -> Array:
+        """Return the mean (n,) over the members (N, n), with ``weights`` (N,) where given; circular for angles."""
+        mean = _average(members, weights)
         for part in self._angles:
             angles = members[:, part]
-            mean[part] = _modulo(np.arctan2(np.sin(angles).mean(axis=0), np.cos(angles).mean(axis=0)))
+            mean[part] = _modulo(np.arctan2(_average(np.sin(angles), weights), _average(np.cos(angles), weights)))
         return mean
 
     def difference(self, a: Array, b: Array) -> Array:
@@ -172,6 +177,35 @@ class StateSpace:
         for part in self._angles:
             moved[..., part] = _modulo(moved[..., part])
         return moved
+
+    def excess(self, members: Array) -> float:
+        """Return the largest of |x| / plausible in the members (..., n): above 1 they have diverged.
+
+        Zero where no variable says what is plausible; NaN where a variable that does holds NaN.
+        """
+        ratios = [max(members[..., part].max(), -members[..., part].min()) / limit for part, limit in self._bounded]
+        return float(np.max(ratios)) if ratios else 0.0
+
+    def place_of(self, entry: int) -> str:
+        """Return the variable, and the node where it has several, of entry ``entry`` of the state."""
+        name = next(name for name, part in self._slices.items() if part.start <= entry < part.stop)
+        node = f" at node {entry - self._slices[name].start}" if self[name].size > 1 else ""
+        return f"'{name}'{node}"
+
+    def farthest(self, members: Array) -> tuple[int, int]:
+        """Return member and entry of the number (N, n) that is farthest beyond what is plausible.
+
+        Where no variable says what is plausible, it is the number that is largest in size.
+        """
+        scale = np.concatenate([np.full(v.size, v.plausible if self._bounded else 1.0) for v in self.variables])
+        member, entry = np.unravel_index(np.argmax(np.abs(members) / scale), members.shape)
+        return int(member), int(entry)
+
+
+def _average(values: Array, weights: Array | None) -> Array:
+    """Return the mean over axis 0 of ``values`` (N, k)."""
+    average: Array = values.mean(axis=0) if weights is None else weights @ values
+    return average
 
 
 def _modulo(angle: Array) -> Array:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from dafw.core.cycle import Cycle, Parts, State
+from dafw.core.errors import ComputationError
 
 log = logging.getLogger("dafw")
 
@@ -33,21 +34,36 @@ def log_file(path: Path) -> Iterator[None]:
 def sentence(cycle: Cycle, scores: Mapping[str, float]) -> str:
     """Return what a cycle did, for the log."""
     positions = ", ".join(f"({x:.1f}, {y:.1f})" for x, y in cycle.state.vehicle.positions)
-    return (
-        f"t = {cycle.state.belief.ensemble.time:g} s: ERR {scores['err']:.2f} %, free run {scores['err_free']:.2f} %, "
-        f"{cycle.observation.values.size} readings" + (f", at {positions}" if positions else "")
-    )
+    parts = [f"ERR {scores['err']:.2f} %"] if "err" in scores else []
+    parts += [f"free run {scores['err_free']:.2f} %"] if "err_free" in scores else []
+    parts.append(f"{cycle.observation.values.size} readings")
+    parts += [f"at {positions}"] if positions else []
+    return f"t = {cycle.state.belief.ensemble.time:g} s: {', '.join(parts)}"
 
 
 def postfix(state: State, scores: Mapping[str, float]) -> str:
     """Return how a run stands, for the end of its progress bar."""
     positions = " ".join(f"({x:.0f}, {y:.0f})" for x, y in state.vehicle.positions[:2])
-    return f"ERR {scores['err']:.1f} % {positions}".strip()
+    err = f"ERR {scores['err']:.1f} %" if "err" in scores else ""
+    return f"{err} {positions}".strip()
+
+
+def warn_once(warned: set[str], what: str, text: str) -> None:
+    """Log a warning, and say it on standard error, the first time that it is about ``what``."""
+    if what in warned:
+        return
+    warned.add(what)
+    log.warning("%s", text)
+    print(f"dafw: warning: {text}", file=sys.stderr)
 
 
 def log_domain(parts: Parts) -> None:
     """Log what the model was made of."""
-    for note in parts.model.notes():
+    try:
+        notes = list(parts.model.notes())
+    except Exception as error:
+        raise ComputationError(f"{parts.model.label} raised {type(error).__name__} in notes(): {error}") from error
+    for note in notes:
         log.info("%s", note)
     log.info("state: %r", parts.model.space)
     if parts.model.domain is not None:

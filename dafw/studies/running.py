@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import logging
-import math
-import platform
 import sys
-from collections.abc import Mapping
-from importlib.metadata import PackageNotFoundError, version
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -16,17 +13,17 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
-from dafw.core.cycle import Parts, State, advance, start
+from dafw.core.cycle import Cycle, Parts, advance, start
 from dafw.core.ensemble import Vehicle
-from dafw.core.errors import ConfigurationError, DafwError, RecordError, RunError
-from dafw.core.experiment import Study, assemble
+from dafw.core.errors import ComputationError, ConfigurationError, DafwError, RecordError, RunError
 from dafw.core.files import claim, write_whole
 from dafw.core.record import Record
-from dafw.studies.reporting import log_domain, log_file, postfix, progress, sentence
+from dafw.core.study import Study
+from dafw.studies.reporting import log_domain, log_file, postfix, progress, sentence, warn_once
 from dafw.studies.stopping import Interrupted, Stop, stop_signals
+from dafw.studies.summary import Summary, file_attributes
 
 log = logging.getLogger("dafw")
-VERSIONED = ("dafw", "numpy", "scipy", "dolfinx-solver-real", "gmsh", "netcdf4", "xarray", "hydra-core")
 LOG_SECONDS = 0.2
 SUMMARY_SECONDS = 10.0
 
@@ -40,7 +37,7 @@ def run_study(study: Study, folder: Path, communicator: Any = None) -> dict[str,
     refuse_run(folder)
     begun = perf_counter()
     # A wrong request shows here, before anything is written.
-    parts, vehicle = assemble(study, communicator)
+    parts, vehicle = study.prepare(communicator)
     folder.mkdir(parents=True, exist_ok=True)
     run = _Run(study, folder, begun, communicator)
     # Bits that do not depend on the number of cores; and small matrices are quicker without threads.
@@ -49,27 +46,26 @@ def run_study(study: Study, folder: Path, communicator: Any = None) -> dict[str,
             with parts.executor:
                 run.cycles(parts, vehicle, stop)
             run.finish("complete")
-        except DafwError as error:
-            run.finish("failed", str(error))
-            kept = f"; {run.done} of {study.cycles} cycles are kept in {folder}" if run.done else ""
-            raise type(error)(f"{error}{kept}") from error
-        except (OSError, RuntimeError) as error:
-            # netCDF's own errors: a full disk, say. What was synchronised may be lost with it.
-            run.finish("failed", f"{type(error).__name__}: {error}")
-            raise RecordError(f"{folder}: the run cannot be written ({type(error).__name__}: {error})") from error
-        except (Interrupted, KeyboardInterrupt):
+        except KeyboardInterrupt:
             run.finish("interrupted")
-            raise Interrupted(f"{run.done} of {study.cycles} cycles are kept in {folder}") from None
+            raise Interrupted(f"{run.summary.cycles} of {study.cycles} cycles are kept in {folder}") from None
+        except Exception as error:
+            # What no phase of a cycle has named is still said in one line, and the record is closed.
+            named = error if isinstance(error, DafwError) else ComputationError(f"{type(error).__name__}: {error}")
+            run.finish("failed", str(named))
+            done = run.summary.cycles
+            kept = f"; {done} of {study.cycles} cycles are kept in {folder}" if done else ""
+            raise type(named)(f"{named}{kept}") from error
         if study.pictures and not stop.asked:
             _draw(folder)
         if stop.asked:
-            raise Interrupted(f"all {run.done} cycles are kept in {folder}")
-    return run.summary
+            raise Interrupted(f"all {run.summary.cycles} cycles are kept in {folder}")
+    return run.summary.values()
 
 
 def follow_study(study: Study, communicator: Any) -> None:
     """Take part in a run of rank 0 as another rank, and leave nothing behind; raises what the run raises."""
-    parts, vehicle = assemble(study, communicator)
+    parts, vehicle = study.prepare(communicator)
     with stop_signals() as stop, threadpool_limits(limits=1, user_api="blas"):
         state = start(parts, study.members, vehicle)
         stop.patient = True
@@ -86,68 +82,64 @@ def refuse_run(folder: Path) -> None:
 
 
 class _Run:
-    """One run on its way: what is done, what was measured."""
+    """One run on its way."""
 
     def __init__(self, study: Study, folder: Path, begun: float, communicator: Any) -> None:
-        self.study, self.folder, self.begun, self.communicator = study, folder, begun, communicator
-        self.done = 0
-        self.seconds: dict[str, float] = {}
-        self.scores: dict[str, float] = {}
-        self.parameters: dict[str, dict[str, float]] = {}
-        self.pinned: dict[str, Mapping[str, Any]] = {}
+        self.study, self.folder, self.communicator = study, folder, communicator
+        self.summary = Summary(study, begun, communicator.size if communicator else 1)
         self.record: Record | None = None
-        self.summary: dict[str, Any] = {}
         # Until it says otherwise, a run that leaves no word was cut off.
         self.noted = perf_counter()
         claim(folder / "summary.json")
-        self._write_summary("interrupted")
+        self._write_summary()
 
     def cycles(self, parts: Parts, vehicle: Vehicle, stop: Stop) -> None:
         """Run all cycles; raises Interrupted between two of them."""
-        log.info("study '%s', seed %d, %d members", self.study.name, self.study.seed, self.study.members)
-        parts.executor.start(parts.model, self.study.model)
-        state = start(parts, self.study.members, vehicle)
-        self.pinned = _pinned(parts)
-        self.seconds["set-up"] = perf_counter() - self.begun
+        study, summary = self.study, self.summary
+        log.info("study '%s', seed %d, %d members", study.name, study.seed, study.members)
+        parts.executor.start(parts.model, study.model_configuration)
+        state = start(parts, study.members, vehicle)
+        summary.begin(study)
         stop.patient = True
         log_domain(parts)
-        self.record = Record(
-            self.folder / "run.nc",
-            parts,
-            state,
-            whole=_kept_whole(self.study, parts),
-            section=np.array(self.study.section, dtype=np.float64).reshape(-1, 2),
-            attributes={
-                "title": f"dafw study {self.study.name}",
-                "name": self.study.name,
-                "seed": self.study.seed,
-                "dafw_version": version("dafw"),
-                **{f"{role}_pinned": json.dumps(options) for role, options in self.pinned.items()},
-            },
-        )
+        with self._writing():
+            self.record = Record(
+                self.folder / "run.nc",
+                parts,
+                state,
+                whole=_kept_whole(study, parts),
+                section=np.array(study.section, dtype=np.float64).reshape(-1, 2),
+                attributes=file_attributes(study, summary.pinned),
+            )
         logged = 0.0
-        with progress(self.study.cycles) as bar:
-            for _ in range(self.study.cycles):
+        with progress(study.cycles) as bar:
+            for done in range(1, study.cycles + 1):
                 cycle = advance(parts, state)
                 recorded = perf_counter()
-                self.scores = self.record.append(cycle)
+                with self._writing():
+                    scores = self.record.append(cycle)
                 cycle.seconds["record"] = perf_counter() - recorded
-                for phase, seconds in cycle.seconds.items():
-                    self.seconds[phase] = self.seconds.get(phase, 0.0) + seconds
-                state, self.done = cycle.state, self.done + 1
-                for note in cycle.route.notes:
-                    log.warning("t = %g s: %s", state.belief.ensemble.time, note)
-                if perf_counter() - logged > LOG_SECONDS or self.done == self.study.cycles:
+                summary.add(cycle, scores)
+                self._say(cycle, parts)
+                state = cycle.state
+                if perf_counter() - logged > LOG_SECONDS or done == study.cycles:
                     logged = perf_counter()
-                    log.info("%s", sentence(cycle, self.scores))
-                bar.set_postfix_str(postfix(state, self.scores), refresh=False)
+                    log.info("%s", sentence(cycle, scores))
+                bar.set_postfix_str(postfix(state, scores), refresh=False)
                 bar.update()
                 if perf_counter() - self.noted > SUMMARY_SECONDS:
-                    self.noted = perf_counter()
-                    self._write_summary("interrupted")
-                if stop.agreed(self.communicator) and self.done < self.study.cycles:
+                    self._write_summary()
+                if stop.agreed(self.communicator) and done < study.cycles:
                     raise Interrupted
-        self.parameters = _parameters(parts, state)
+        summary.end(parts, state)
+
+    def _say(self, cycle: Cycle, parts: Parts) -> None:
+        """Log what plugins have to say about a cycle, and once each what a user must know."""
+        time = cycle.state.belief.ensemble.time
+        for note in cycle.notes:
+            log.warning("t = %g s: %s", time, note)
+        for what, text in self.summary.warnings(cycle, parts):
+            warn_once(self.summary.warned, what, f"t = {time:g} s: {text}")
 
     def finish(self, status: str, error: str = "") -> None:
         """Close the record and say how the run ended."""
@@ -156,73 +148,29 @@ class _Run:
                 self.record.close()
         except (OSError, RuntimeError) as failure:
             status, error = "failed", error or f"run.nc cannot be closed: {failure}"
-        self._write_summary(status, error)
-        log.info("%s after %d of %d cycles %s", status, self.done, self.study.cycles, error)
+        self.summary.status, self.summary.error = status, error
+        self._write_summary()
+        log.info("%s after %d of %d cycles %s", status, self.summary.cycles, self.study.cycles, error)
 
-    def _write_summary(self, status: str, error: str = "") -> None:
-        self.summary = {
-            "status": status,
-            "name": self.study.name,
-            "seed": self.study.seed,
-            "members": self.study.members,
-            "executor": self.study.executor,
-            "processes": self.communicator.size if self.communicator else 1,
-            "cycles": self.done,
-            "cycles_wanted": self.study.cycles,
-            "err_final": _finite(self.scores.get("err")),
-            "err_free_final": _finite(self.scores.get("err_free")),
-            "parameters_final": self.parameters,
-            "wall_seconds": round(perf_counter() - self.begun, 3),
-            "pinned": self.pinned,
-            "phase_seconds": {phase: round(seconds, 4) for phase, seconds in self.seconds.items()},
-            "versions": _versions(),
-        }
-        if error:
-            self.summary["error"] = error
-        write_whole(self.folder / "summary.json", json.dumps(self.summary, indent=2) + "\n")
+    def _write_summary(self) -> None:
+        self.noted = perf_counter()
+        write_whole(self.folder / "summary.json", self.summary.text())
 
-
-def _finite(value: float | None) -> float | None:
-    return value if value is not None and math.isfinite(value) else None
-
-
-def _versions() -> dict[str, str]:
-    found = {"python": platform.python_version()}
-    for name in VERSIONED:
+    @contextmanager
+    def _writing(self) -> Iterator[None]:
+        """Have an error of the record say that the run cannot be written: a full disk, say."""
         try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            continue
-    return found
+            yield
+        except (OSError, RuntimeError) as error:
+            raise RecordError(f"{self.folder}: the run cannot be written ({type(error).__name__}: {error})") from error
 
 
 def _kept_whole(study: Study, parts: Parts) -> list[str]:
+    """Return the names of the variables of which every member is kept."""
     variables = parts.model.space.variables
-    if study.record.members == "all":
+    if study.record == "all":
         return [variable.name for variable in variables]
-    return [variable.name for variable in variables if variable.size == 1 and study.record.members == "parameters"]
-
-
-def _pinned(parts: Parts) -> dict[str, Mapping[str, Any]]:
-    """Return what the models found where their options left it open, such as the newest reduced basis, by role."""
-    models = {"model": parts.model, "truth": parts.truth, "free": parts.free}
-    found = {role: model.pinned_options() for role, model in models.items() if model is not None}
-    return {role: options for role, options in found.items() if options}
-
-
-def _parameters(parts: Parts, state: State) -> dict[str, dict[str, float]]:
-    """Return truth, mean and spread of every state variable that is a single number."""
-    belief, truth = state.belief.ensemble, state.truth.ensemble.members[0]
-    listed = {}
-    for variable in parts.model.space.variables:
-        if variable.size == 1:
-            place = parts.model.space.slice(variable.name).start
-            listed[variable.name] = {
-                "truth": float(truth[place]),
-                "mean": float(belief.mean[place]),
-                "spread": float(np.nan_to_num(belief.spread[place])),
-            }
-    return listed
+    return [variable.name for variable in variables if variable.size == 1 and study.record == "parameters"]
 
 
 def _draw(folder: Path) -> None:
@@ -238,27 +186,49 @@ def _draw(folder: Path) -> None:
         print(f"dafw: the run is complete, but a picture cannot be drawn: {error}", file=sys.stderr)
 
 
-def run(overrides: list[str] | None = None) -> Any:
-    """Compose, run and open a study: ``dafw.run(["filter=none", "cycles=20"])`` returns its xarray.Dataset.
+def run(what: Study | list[str] | None = None, folder: str | Path | None = None) -> Any:
+    """Run a study and open what it leaves as an xarray.Dataset, whose attribute ``folder`` says where it is.
 
-    The folder of the run is the dataset's attribute ``folder``. Raises ConfigurationError for a wrong request and
-    other DafwErrors where a computation fails.
+    ``dafw.run(["filter=none", "cycles=20"])`` composes a study from overrides, as the command does; it goes to a new
+    folder of ``outputs`` where none is given. ``dafw.run(study, "folder")`` runs one that was made of objects. Raises
+    ConfigurationError for a wrong request and other DafwErrors where a computation fails.
     """
-    from omegaconf import OmegaConf
-
-    from dafw.core.composition import compose, study_part
-    from dafw.core.experiment import study_from
     from dafw.core.runs import open_run
 
-    if isinstance(overrides, str) or not all(isinstance(override, str) for override in overrides or []):
-        raise ConfigurationError(f"overrides must be a list of strings, got {overrides!r}")
-    config = compose(overrides or [])
-    study = study_from(study_part(config))
-    folder = Path(config.hydra.run.dir).resolve()
-    run_study(study, folder)
-    (folder / ".hydra").mkdir(exist_ok=True)
-    write_whole(folder / ".hydra" / "config.yaml", OmegaConf.to_yaml(study_part(config)))
-    write_whole(folder / ".hydra" / "overrides.yaml", OmegaConf.to_yaml(overrides or []))
-    dataset = open_run(folder)
-    dataset.attrs["folder"] = str(folder)
+    if isinstance(what, Study):
+        if folder is None:
+            raise ConfigurationError("dafw.run(study, folder): a study made of objects needs a folder")
+        place = Path(folder).resolve()
+        run_study(what, place)
+    else:
+        place = _run_overrides(what or [], folder)
+    dataset = open_run(place)
+    dataset.attrs["folder"] = str(place)
     return dataset
+
+
+def _run_overrides(overrides: list[str], folder: str | Path | None) -> Path:
+    """Compose and run a study; return its folder."""
+    from dafw.core.composition import compose, study_part
+    from dafw.core.experiment import study_from
+
+    if isinstance(overrides, str) or not all(isinstance(override, str) for override in overrides):
+        raise ConfigurationError(f"overrides must be a list of strings, got {overrides!r}")
+    config = compose(overrides)
+    composed = study_part(config)
+    study = study_from(composed)
+    place = Path(folder or config.hydra.run.dir).resolve()
+    refuse_run(place)
+    study.prepare()
+    _keep_configuration(place / ".hydra", composed, overrides)
+    run_study(study, place)
+    return place
+
+
+def _keep_configuration(folder: Path, composed: Mapping[str, Any], overrides: list[str]) -> None:
+    """Write what a study was composed from, as the command does, before it runs: so that a failed run has it, too."""
+    from omegaconf import OmegaConf
+
+    folder.mkdir(parents=True, exist_ok=True)
+    write_whole(folder / "config.yaml", OmegaConf.to_yaml(dict(composed)))
+    write_whole(folder / "overrides.yaml", OmegaConf.to_yaml(overrides))

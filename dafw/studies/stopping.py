@@ -9,8 +9,8 @@ from contextlib import contextmanager
 from typing import Any
 
 
-class Interrupted(BaseException):
-    """The run was asked to stop (Ctrl-C or SIGTERM)."""
+class Interrupted(KeyboardInterrupt):
+    """The run was asked to stop (Ctrl-C or SIGTERM); what was done is kept."""
 
 
 class Stop:

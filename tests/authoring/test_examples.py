@@ -15,6 +15,7 @@ SHOWN = (
     "Observer",
     "Policy",
     "Filter",
+    "Readings",
     "StateSpace",
     "Variable",
     "Ensemble",
@@ -22,7 +23,15 @@ SHOWN = (
     "Observation",
     "Analysis",
 )
-MODULES = ("core.interfaces", "core.space", "core.ensemble", "core.observation", "core.hookspecs", "testing")
+INTERFACES = ("filter", "model", "observer", "policy", "readings")
+MODULES = (
+    *(f"core.interfaces.{name}" for name in INTERFACES),
+    "core.space",
+    "core.ensemble",
+    "core.observation",
+    "core.hookspecs",
+    "testing",
+)
 
 
 @pytest.mark.parametrize("name", [*MODULES, "authoring.function"])

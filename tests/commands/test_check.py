@@ -8,11 +8,11 @@ from dafw.commands import main
 
 
 def test_the_command_prints_a_line_for_each_check(capsys):
-    assert main(["check", "none", "stationary"]) == 0
+    assert main(["check", "etkf", "stationary"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[-1] == "2 plugins checked, nothing to mend"
-    assert lines[0].split() == ["filter", "'none'", "shapes", "passed"]
-    assert "filter 'none' kalman_exact not applicable declares its accuracy as 'none'" in [
+    assert lines[0].split() == ["filter", "'etkf'", "shapes", "passed"]
+    assert "filter 'etkf' infinite_radius not applicable declares no localization_option" in [
         " ".join(line.split()) for line in lines
     ]
 

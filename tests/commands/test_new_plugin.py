@@ -5,16 +5,15 @@ from __future__ import annotations
 import pytest
 from fresh import environment
 
-from dafw.authoring.templates import new_plugin
+from dafw.authoring.templates import CODE, new_plugin
 from dafw.commands import main
-from dafw.core.registry import KINDS
 
 LINES = 15
 
 
 def test_every_kind_installs_conforms_and_passes_its_own_test(tmp_path):
     fresh = environment()
-    folders = {kind: tmp_path / kind for kind in KINDS}
+    folders = {kind: tmp_path / kind for kind in CODE}
     for kind, folder in folders.items():
         assert main(["new-plugin", kind, f"my_{kind}", str(folder)]) == 0
     installed = fresh.run(

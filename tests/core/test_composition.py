@@ -4,11 +4,13 @@ import pytest
 
 from dafw import ConfigurationError, DafwError
 from dafw.core.composition import compose, single_runs, study_part
-from dafw.core.experiment import merged, study_from
+from dafw.core.experiment import merged, options_from, study_from
 
 
 def study(*overrides):
-    return study_from(study_part(compose(overrides)))
+    composed = study_part(compose(overrides))
+    study_from(composed)
+    return options_from(composed)
 
 
 def test_the_default_is_the_flagship():

@@ -18,10 +18,10 @@ import dafw
 from dafw import ComputationError, ConfigurationError, ContractError, DafwError, Ensemble
 from dafw.commands import main
 from dafw.core.ensemble import Diagnostic, Step
-from dafw.core.errors import SolverError
-from dafw.core.executors import EXECUTORS, make_executor
-from dafw.core.executors.batches import join, split
+from dafw.core.errors import RequestError, SolverError
+from dafw.core.executors.batches import Batch, Stepped, join, split
 from dafw.core.making import alive
+from dafw.core.registry import registry
 from dafw.core.rng import Streams
 from dafw.core.space import StateSpace, Variable
 
@@ -44,12 +44,12 @@ def walk(executor, steps=3, **options):
     model.name = "trouble"
     forecast = model.first_guess(N, streams.members("initial", 0))
     done = []
-    with make_executor(executor) as running:
+    with registry().create("executor", executor) as running:
         running.start(model, {"name": "trouble", **options})
         for cycle in range(steps):
             rng, ensemble = streams.members("error", cycle), forecast.ensemble
-            step = running.submit(model, ensemble.members, forecast.memory, ensemble.time, rng)
-            forecast = model.stepped(ensemble, step())
+            stepped = running.submit(model, Batch(ensemble.members, forecast.memory, ensemble.time, rng))
+            forecast = model.stepped(ensemble, stepped().steps[-1])
             done.append(forecast)
     return done
 
@@ -112,10 +112,10 @@ def test_a_diagnostic_that_is_not_of_members_must_not_depend_on_the_batch():
 def test_closing_ends_the_workers_even_in_a_step_that_nobody_waits_for():
     model, streams = Trouble(kind_of="sleeps"), Streams(0)
     forecast = model.first_guess(N, streams.members("initial", 0))
-    executor = make_executor(TWO)
+    executor = registry().create("executor", TWO)
     executor.start(model, {"name": "trouble", "kind_of": "sleeps"})
-    workers = [worker.process.pid for worker in executor._pool]
-    executor.submit(model, forecast.ensemble.members, forecast.memory, 1.0, streams.members("error", 0))
+    workers = [place.worker.process.pid for place in executor._pool]
+    executor.submit(model, Batch(forecast.ensemble.members, forecast.memory, 1.0, streams.members("error", 0)))
     begun = time.monotonic()
     executor.close()
     assert time.monotonic() - begun < 20.0
@@ -126,10 +126,10 @@ def test_a_step_that_nobody_waited_for_does_not_spoil_the_next():
     model, streams = Trouble(), Streams(0)
     forecast = model.first_guess(N, streams.members("initial", 0))
     rng = streams.members("error", 0)
-    with make_executor(TWO) as executor:
+    with registry().create("executor", TWO) as executor:
         executor.start(model, {"name": "trouble"})
-        executor.submit(model, forecast.ensemble.members + 1.0, forecast.memory, 0.0, rng)
-        step = executor.step(model, forecast.ensemble.members, forecast.memory, 0.0, rng)
+        executor.submit(model, Batch(forecast.ensemble.members + 1.0, forecast.memory, 0.0, rng))
+        (step,) = executor.submit(model, Batch(forecast.ensemble.members, forecast.memory, 0.0, rng))().steps
     alone = model.step_with_memory(forecast.ensemble.members, forecast.memory, 0.0, rng)
     assert step.members.tobytes() == alone.members.tobytes()
 
@@ -148,7 +148,7 @@ def ensemble(n_members):
 def test_batches_are_neighbours_in_order_with_their_own_streams(n_members, count):
     model, belief = ensemble(n_members)
     rng, memory = Streams(1).members("error", 5), {"number": np.arange(n_members)}
-    batches = split(model, belief.members, memory, 2.0, rng, count)
+    batches = split(model, Batch(belief.members, memory, 2.0, rng), count)
     assert len(batches) == min(n_members, count)
     sizes = [len(batch.members) for batch in batches]
     assert sum(sizes) == n_members and max(sizes) - min(sizes) <= 1
@@ -163,7 +163,7 @@ def test_batches_are_neighbours_in_order_with_their_own_streams(n_members, count
 def test_a_memory_without_members_on_axis_0_cannot_be_cut():
     model, belief = ensemble(4)
     with pytest.raises(ContractError, match=r"4 members on axis 0, got the shape \(3, 4\) for 'way'"):
-        split(model, belief.members, {"way": np.zeros((3, 4))}, 0.0, Streams(0).members("error", 0), 2)
+        split(model, Batch(belief.members, {"way": np.zeros((3, 4))}, 0.0, Streams(0).members("error", 0)), 2)
 
 
 @pytest.mark.parametrize(
@@ -178,12 +178,13 @@ def test_a_memory_without_members_on_axis_0_cannot_be_cut():
 )
 def test_steps_that_do_not_fit_together_are_refused(steps, message):
     model, belief = ensemble(4)
-    batches = split(model, belief.members, None, 0.0, Streams(0).members("error", 0), 2)
+    batches = split(model, Batch(belief.members, None, 0.0, Streams(0).members("error", 0)), 2)
+    stepped = [Stepped((step,)) for step in steps]
     if message is None:
-        assert join(model, batches, steps).memory["a"].shape == (4,)
+        assert join(model, batches, stepped).steps[0].memory["a"].shape == (4,)
     else:
         with pytest.raises(ContractError, match=message):
-            join(model, batches, steps)
+            join(model, batches, stepped)
 
 
 # As users see it
@@ -192,21 +193,21 @@ def test_steps_that_do_not_fit_together_are_refused(steps, message):
 @pytest.mark.parametrize(
     ("config", "message"),
     [
-        ({"name": "threads"}, r"no executor 'threads' \(there are: serial, processes, dask\)"),
-        ({}, "no executor 'None'"),
+        ({"name": "threads"}, r"no executor 'threads' \(there are: dask, processes, serial\)"),
+        ({}, "an executor needs a name"),
         ({"name": "serial", "workers": 2}, "executor 'serial': unknown option 'workers'"),
         ({"name": "processes", "workers": 0}, "executor 'processes': option 'workers' must be at least 1"),
     ],
 )
 def test_a_wrong_executor_is_refused(config, message):
-    with pytest.raises(ConfigurationError, match=message):
-        make_executor(config)
+    with pytest.raises(RequestError, match=message):
+        registry().create("executor", config)
 
 
 def test_dask_without_its_package_is_refused(monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(ConfigurationError, match=r"needs the package distributed: install dafw\[dask\]"):
-        make_executor({"name": "dask"})
+        registry().create("executor", {"name": "dask"})
 
 
 def test_a_scheduler_that_does_not_answer_is_a_wrong_request():
@@ -216,9 +217,10 @@ def test_a_scheduler_that_does_not_answer_is_a_wrong_request():
 
 def test_an_executor_that_was_not_started_says_so():
     model, belief = ensemble(4)
-    for name in set(EXECUTORS) - {"serial"}:
+    batch = Batch(belief.members, None, 0.0, Streams(0).members("error", 0))
+    for name in set(registry().names("executor")) - {"serial"}:
         with pytest.raises(DafwError, match="was not started"):
-            make_executor({"name": name}).step(model, belief.members, None, 0.0, Streams(0).members("error", 0))
+            registry().create("executor", {"name": name}).submit(model, batch)
 
 
 LORENZ = ["experiment=lorenz96", "pictures=false", "hydra.run.dir=run"]

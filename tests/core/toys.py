@@ -8,6 +8,7 @@ from dafw import Domain, Filter, Model, Observer, Policy, Route, Selection, Stat
 from dafw.core.cycle import Parts
 from dafw.core.ensemble import Analysis
 from dafw.core.rng import Streams
+from dafw.plugins.readings.twin import Twin
 
 NODES = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0]])
 
@@ -84,6 +85,7 @@ def toy_parts(seed=0, **changes):
         "observer": OneNode(),
         "policy": Hop(),
         "filter": Nudge(),
+        "readings": Twin(),
         "streams": Streams(seed),
     }
     return Parts(**(parts | changes))

@@ -1,33 +1,40 @@
-"""Cutting an ensemble into batches of neighbouring members, and putting the steps of the batches together."""
+"""Cutting an ensemble into batches of neighbouring members, stepping a batch, and putting the batches together."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from dafw.core.ensemble import Diagnostic, Diagnostics, Memory, Step
+from dafw.core.ensemble import Diagnostic, Diagnostics, Ensemble, Memory, Step
 from dafw.core.errors import ContractError
-from dafw.core.interfaces import Model
+from dafw.core.interfaces.model import Model
+from dafw.core.observation import ObservationOperator
 from dafw.core.rng import MemberStreams
 from dafw.core.space import Array
 
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """All that a step of some neighbouring members needs: nothing in it knows of the others.
+    """All that some neighbouring members need to be stepped: nothing in it knows of the others.
 
-    ``first`` is the number of the first of the members (k, n), ``t`` the time in seconds.
+    ``members`` (k, n) start at ``t`` seconds with the model's ``memory`` and are stepped ``n_steps`` times, with the
+    streams ``rng`` of the first step and those of the cycles after it. ``operators`` are applied to the members after
+    so many steps (1 ... n_steps). ``keep``: hand out the members after every step, not only after the last.
+    ``first`` is the number of the first member.
     """
 
-    first: int
     members: Array
     memory: Memory | None
     t: float
     rng: MemberStreams
+    n_steps: int = 1
+    operators: Mapping[int, ObservationOperator] = field(default_factory=dict)
+    keep: bool = False
+    first: int = 0
 
     @property
     def title(self) -> str:
@@ -36,33 +43,68 @@ class Batch:
         return f"member {last}" if last == self.first else f"members {self.first} to {last}"
 
 
-def split(model: Model, members: Array, memory: Memory | None, t: float, rng: MemberStreams, count: int) -> list[Batch]:
-    """Cut members (N, n) into at most ``count`` batches, in sizes that differ by one at most.
+@dataclass(frozen=True, eq=False)
+class Stepped:
+    """What comes of a batch: its last step, or all where they are kept; ``predicted`` (k, m) by number of steps."""
+
+    steps: tuple[Step, ...]
+    predicted: Mapping[int, Array] = field(default_factory=dict)
+
+
+def step_members(model: Model, batch: Batch) -> Stepped:
+    """Step a batch with a model in this process. All steps but the last are checked; raises what the model raises."""
+    if batch.n_steps == 1 and not batch.operators:
+        return Stepped((model.step_with_memory(batch.members, batch.memory, batch.t, batch.rng),))
+    steps: list[Step] = []
+    predicted: dict[int, Array] = {}
+    ensemble, memory = Ensemble(batch.members, model.space, batch.t), batch.memory
+    for number in range(1, batch.n_steps + 1):
+        rng = batch.rng.later(number - 1)
+        forecast = model.forecast(ensemble, memory, rng)
+        ensemble, memory = forecast.ensemble, forecast.memory
+        if number in batch.operators:
+            predicted[number] = batch.operators[number].apply(ensemble.members)
+        if batch.keep or number == batch.n_steps:
+            steps.append(Step(ensemble.members, memory, forecast.diagnostics))
+    return Stepped(tuple(steps), predicted)
+
+
+def split(model: Model, batch: Batch, count: int) -> list[Batch]:
+    """Cut a batch into at most ``count``, in sizes that differ by one at most.
 
     Raises ContractError where the model's memory cannot be cut.
     """
-    n_members = len(members)
-    for name, array in (memory or {}).items():
+    n_members = len(batch.members)
+    for name, array in (batch.memory or {}).items():
         if np.ndim(array) == 0 or len(array) != n_members:
             raise ContractError(
                 f"{model.label}: its memory must have the {n_members} members on axis 0, got the shape "
                 f"{np.shape(array)} for '{name}'"
             )
+    if min(count, n_members) <= 1:
+        return [batch]
     bounds = np.linspace(0, n_members, min(count, n_members) + 1).astype(int).tolist()
     batches = []
     for first, last in pairwise(bounds):
-        part = None if memory is None else {name: array[first:last] for name, array in memory.items()}
-        batches.append(Batch(first, members[first:last], part, t, rng.shifted(first)))
+        part = None if batch.memory is None else {name: array[first:last] for name, array in batch.memory.items()}
+        members, rng = batch.members[first:last], batch.rng.shifted(first)
+        batches.append(Batch(members, part, batch.t, rng, batch.n_steps, batch.operators, batch.keep, first))
     return batches
 
 
-def join(model: Model, batches: Sequence[Batch], steps: Sequence[Step]) -> Step:
-    """Put the steps of the batches together in member order.
+def join(model: Model, batches: Sequence[Batch], stepped: Sequence[Stepped]) -> Stepped:
+    """Put what came of the batches together in member order.
 
     Diagnostics and memory come from the members; raises ContractError where batches disagree on what is not.
     """
-    if len(steps) == 1:
-        return steps[0]
+    if len(stepped) == 1:
+        return stepped[0]
+    steps = [_joined_steps(model, batches, parts) for parts in zip(*(one.steps for one in stepped), strict=True)]
+    predicted = {number: np.concatenate([one.predicted[number] for one in stepped]) for number in stepped[0].predicted}
+    return Stepped(tuple(steps), predicted)
+
+
+def _joined_steps(model: Model, batches: Sequence[Batch], steps: Sequence[Step]) -> Step:
     stepped = [
         model.checked(step.members, batch.members.shape, f"{batch.title} after a step")
         for batch, step in zip(batches, steps, strict=True)

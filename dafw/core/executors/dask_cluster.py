@@ -13,15 +13,12 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
-from dafw.core.ensemble import Memory, Step
 from dafw.core.errors import ComputationError, ConfigurationError
 from dafw.core.executors import Executor
-from dafw.core.executors.batches import Batch, join, split
-from dafw.core.executors.worker import step_batch
-from dafw.core.interfaces import Model
+from dafw.core.executors.batches import Batch, Stepped
+from dafw.core.executors.worker import needs_registered, step_batch
+from dafw.core.interfaces.model import Model
 from dafw.core.options import merged, option
-from dafw.core.rng import MemberStreams
-from dafw.core.space import Array
 from dafw.core.workers import Outcome, cores
 
 log = logging.getLogger("dafw")
@@ -30,8 +27,6 @@ log = logging.getLogger("dafw")
 @dataclass
 class Dask(Executor):
     """A cluster of this machine's own, or the scheduler at an address."""
-
-    name = "dask"
 
     address: str | None = option(None, "scheduler, such as tcp://10.0.0.1:8786; null: a cluster on this machine")
     workers: int | None = option(
@@ -51,12 +46,14 @@ class Dask(Executor):
         if importlib.util.find_spec("distributed") is None:
             raise ConfigurationError(f"{self.label} needs the package distributed: install dafw[dask]")
 
-    def start(self, model: Model, config: Mapping[str, Any]) -> None:
+    def start(self, model: Model, config: Mapping[str, Any] | None) -> None:
         """Start the cluster or connect to it; raises ConfigurationError where nobody answers."""
         import dask
         from distributed import Client, LocalCluster
 
         self.close()
+        if config is None:
+            raise ConfigurationError(needs_registered(self, model))
         self._config = merged(config, model.pinned_options())
         dask.config.set({"distributed.scheduler.allowed-failures": self.retries})
         count = self.workers or (1 if self.address else cores())
@@ -85,15 +82,16 @@ class Dask(Executor):
     def _addresses(self) -> list[str]:
         return sorted(self._client.scheduler_info(n_workers=-1)["workers"])
 
-    def submit(
-        self, model: Model, members: Array, memory: Memory | None, t: float, rng: MemberStreams
-    ) -> Callable[[], Step]:
+    def width(self) -> int:
+        """Return the number of workers."""
+        return max(1, self._batches)
+
+    def begin(self, model: Model, batches: Sequence[Batch]) -> Callable[[], Sequence[Stepped]]:
         """Hand the batches to the scheduler; what comes back waits for all of them."""
         if self._client is None:
             raise ConfigurationError(f"{self.label} was not started: call its start(model, config) first")
         import dask
 
-        batches = split(model, members, memory, t, rng, self._batches)
         there = self._addresses()
         futures = []
         # A batch goes where it went before, if that worker is there and free: matrices may still be kept there.
@@ -101,11 +99,10 @@ class Dask(Executor):
             for number, batch in enumerate(batches):
                 where = {"workers": [there[number % len(there)]], "allow_other_workers": True} if there else {}
                 futures.append(self._client.submit(step_batch, self._config, batch, pure=False, **where))
-        return partial(self._collect, model, batches, futures)
+        return partial(self._collect, batches, futures)
 
-    def _collect(self, model: Model, batches: Sequence[Batch], futures: Sequence[Any]) -> Step:
-        pairs = zip(batches, futures, strict=True)
-        return join(model, batches, [self._outcome(batch, future).get() for batch, future in pairs])
+    def _collect(self, batches: Sequence[Batch], futures: Sequence[Any]) -> list[Stepped]:
+        return [self._outcome(batch, future).get() for batch, future in zip(batches, futures, strict=True)]
 
     def _outcome(self, batch: Batch, future: Any) -> Outcome:
         from concurrent.futures import CancelledError

@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from dafw.core.ensemble import Memory, Step
 from dafw.core.executors import Executor
-from dafw.core.interfaces import Model
-from dafw.core.rng import MemberStreams
-from dafw.core.space import Array
+from dafw.core.executors.batches import Batch, Stepped, step_members
+from dafw.core.interfaces.model import Model
 
 
 @dataclass
 class Serial(Executor):
     """In this process; nothing to configure."""
 
-    name = "serial"
-
-    def submit(
-        self, model: Model, members: Array, memory: Memory | None, t: float, rng: MemberStreams
-    ) -> Callable[[], Step]:
-        """Do the model's own step; return a function that gives it."""
-        step = model.step_with_memory(members, memory, t, rng)
-        return lambda: step
+    def begin(self, model: Model, batches: Sequence[Batch]) -> Callable[[], Sequence[Stepped]]:
+        """Do the model's own steps; return a function that gives them."""
+        stepped = [step_members(model, batch) for batch in batches]
+        return lambda: stepped

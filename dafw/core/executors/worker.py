@@ -9,13 +9,15 @@ import pickle
 import signal
 import threading
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from dafw.core.ensemble import Step, freeze
+from dafw.core.ensemble import freeze
 from dafw.core.errors import DafwError
-from dafw.core.executors.batches import Batch
-from dafw.core.interfaces import Model
+from dafw.core.executors import Executor
+from dafw.core.executors.batches import Batch, Stepped, step_members
+from dafw.core.interfaces.model import Model
 from dafw.core.workers import Outcome, outcome
 
 _MODELS: dict[bytes, Model] = {}
@@ -24,15 +26,15 @@ _ONE_AT_A_TIME = threading.Lock()  # a dask worker may have several threads, sol
 
 
 def step_batch(config: Mapping[str, Any], batch: Batch) -> Outcome:
-    """Step a batch with the model of a configuration; the value is its Step."""
+    """Step a batch with the model of a configuration; the value is a Stepped."""
     with _ONE_AT_A_TIME:
         return outcome(f"model '{config.get('name')}'", partial(_stepped, config, batch))
 
 
-def _stepped(config: Mapping[str, Any], batch: Batch) -> Step:
+def _stepped(config: Mapping[str, Any], batch: Batch) -> Stepped:
     try:
         # Read-only, as the main process would hand them over.
-        return built(config).step_with_memory(freeze(batch.members), batch.memory, batch.t, batch.rng)
+        return step_members(built(config), replace(batch, members=freeze(batch.members)))
     except DafwError as error:
         if error.member is not None:
             error.member += batch.first
@@ -64,3 +66,11 @@ def dask_setup(worker: object) -> None:
 def build_ahead(config: Mapping[str, Any]) -> None:
     """Build the model before the first step; what goes wrong is met again there, and said."""
     outcome("", partial(built, config))
+
+
+def needs_registered(executor: Executor, model: Model) -> str:
+    """Return what to say where workers are asked to step a model that they cannot make."""
+    return (
+        f"{executor.label} makes the model anew in each worker: expected one that a package registers, "
+        f"got {model.label}, which was made in Python; use the executor 'serial'"
+    )

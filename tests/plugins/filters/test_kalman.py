@@ -16,6 +16,7 @@ from dafw.plugins.filters.kalman import Kalman, members_with
 from dafw.plugins.models.linear_advection import LinearAdvection
 from dafw.plugins.observers.grid import Grid
 from dafw.plugins.policies.stationary import Stationary
+from dafw.plugins.readings.twin import Twin
 
 CYCLES = 60
 
@@ -23,7 +24,7 @@ CYCLES = 60
 def cycles(model, filter_, n_members):
     """Run the framework's loop; yield state and cycle, the start first."""
     observer = Grid(stride=6, noise_sd=0.4)
-    parts = Parts(model, model, None, observer, Stationary(), filter_, Streams(3))
+    parts = Parts(model, model, None, observer, Stationary(), filter_, Twin(), Streams(3))
     state = start(parts, n_members, Vehicle(np.empty((0, 2))))
     yield state, None
     for _ in range(CYCLES):

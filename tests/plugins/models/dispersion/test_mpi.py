@@ -23,7 +23,7 @@ from shared_domain import results
 
 from dafw.commands import main
 from dafw.core.errors import ConfigurationError
-from dafw.core.experiment import assemble, study_from
+from dafw.core.experiment import study_from
 from dafw.core.options import build
 from dafw.plugins.models.dispersion import model as module
 from dafw.plugins.models.dispersion.mesh import generate, load
@@ -212,7 +212,7 @@ def test_what_the_ranks_cannot_share_is_refused_in_one_line(folder):
 def test_a_study_that_cannot_be_shared_is_refused(changes, message):
     study = {"model": {"name": "lorenz96"}, "observer": {"name": "grid"}, "policy": {"name": "stationary"}}
     with pytest.raises(ConfigurationError, match=re.escape(message)):
-        assemble(study_from(study | {"filter": {"name": "none"}} | changes), MPI.COMM_SELF)
+        study_from(study | {"filter": {"name": "none"}} | changes).prepare(MPI.COMM_SELF)
 
 
 TROUBLE = """\

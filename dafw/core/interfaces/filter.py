@@ -1,0 +1,159 @@
+"""Filter: how the belief changes once the readings are in."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import TYPE_CHECKING, ClassVar, Literal
+
+import numpy as np
+
+from dafw.core.ensemble import Analysis, Ensemble, Forecast, Memory
+from dafw.core.errors import ConfigurationError, ContractError, DivergenceError
+from dafw.core.observation import Observation
+from dafw.core.plugin import Plugin, described, require_sense
+from dafw.core.space import Array, StateSpace
+
+if TYPE_CHECKING:
+    from dafw.core.window import Window
+
+
+class Filter(Plugin):
+    """How the belief changes once the readings are in.
+
+    ``accuracy`` says how the mean and covariance of an analysis agree with the Kalman filter's where all is linear and
+    Gaussian: ``exact`` for the sample at hand, ``statistical`` in the limit of many members, or ``none``: no claim.
+    ``localization_option`` names the option that is the localization radius in metres, where there is one.
+
+    A filter that looks back says over how many cycles, the present one included, by ``window``; None: since the start.
+    It defines ``analyse_window`` instead of ``analyse``. ``past_beliefs`` says whether it needs the beliefs at the
+    beginning of all cycles of its window or, since the start, of the first alone, which takes far less memory.
+
+    >>> class Midway(Filter):
+    ...     def analyse(self, forecast, predicted, observation, rng):
+    ...         missed = (observation.values - predicted).mean(axis=1, keepdims=True)
+    ...         return Analysis(forecast.space.retract(forecast.members, 0.5 * missed))
+    >>> belief = Ensemble([[0.0], [2.0]], StateSpace([Variable("level", 1)]))
+    >>> seen = Observation([3.0], Selection(indices=np.array([0]), covariance=np.array([1.0])))
+    >>> Midway().update(belief, np.array(belief.members), seen, None, None).members
+    array([[1.5],
+           [2.5]])
+    """
+
+    kind = "filter"
+    window: int | None = 0
+    smallest_ensemble: ClassVar[int] = 2
+    accuracy: ClassVar[str] = "statistical"
+    localization_option: ClassVar[str | None] = None
+    past_beliefs: ClassVar[Literal["all", "first"]] = "all"
+
+    def analyse(
+        self, forecast: Ensemble, predicted: Array, observation: Observation, rng: np.random.Generator
+    ) -> Analysis:
+        """Return the analysis of a forecast whose members predict the readings ``predicted`` (N, m)."""
+        raise NotImplementedError(f"{self.label} must define analyse(forecast, predicted, observation, rng)")
+
+    def initial_memory(self, n_members: int) -> Memory | None:
+        """Return what the first analysis must be told."""
+        return None
+
+    def analyse_with_memory(
+        self,
+        forecast: Ensemble,
+        predicted: Array,
+        observation: Observation,
+        memory: Memory | None,
+        rng: np.random.Generator,
+    ) -> Analysis:
+        """Return the analysis of a filter that remembers."""
+        return self.analyse(forecast, predicted, observation, rng)
+
+    def analyse_window(self, window: Window, rng: np.random.Generator) -> Analysis:
+        """Return the analysis of a filter that looks back over a window of cycles, with its memory in the window.
+
+        It may hand out revised beliefs of earlier times, and the model's memory that goes with the new members.
+        """
+        raise NotImplementedError(f"{self.label} has a window and must define analyse_window(window, rng)")
+
+    def suit(self, space: StateSpace, n_members: int) -> None:
+        """Raise ConfigurationError where the filter does not go with a state space or a number of members."""
+
+    def require_members(self, n_members: int) -> None:
+        """Raise ConfigurationError where the filter cannot work with so few members."""
+        if n_members < self.smallest_ensemble:
+            raise ConfigurationError(
+                f"{self.label} needs at least {self.smallest_ensemble} members, the study has {n_members}"
+            )
+
+    def update(
+        self,
+        forecast: Ensemble,
+        predicted: Array,
+        observation: Observation,
+        memory: Memory | None,
+        rng: np.random.Generator,
+    ) -> Analysis:
+        """Analyse and check; with no readings at all the forecast, brought into the state's set, is the analysis.
+
+        Raises ContractError where the analysis is not as agreed, DivergenceError where the filter's linear algebra
+        fails or its numbers are far beyond what the model can produce.
+        """
+        if observation.values.size == 0:
+            return self._unchanged(forecast, memory)
+        predicted = self.checked(predicted, (len(forecast), observation.values.size), "predicted readings")
+        predicted.setflags(write=False)
+        with self._own_algebra(forecast):
+            analysis = self.analyse_with_memory(forecast, predicted, observation, memory, rng)
+        return self._checked_analysis(analysis, forecast)
+
+    def look_back(self, window: Window, rng: np.random.Generator) -> Analysis:
+        """Analyse a window and check, as ``update`` does; with nothing new in it the forecast is the analysis."""
+        forecast = window.forecast.ensemble
+        if window.observation.values.size == 0 and not window.late:
+            return self._unchanged(forecast, window.memory)
+        with self._own_algebra(forecast):
+            analysis = self.analyse_window(window, rng)
+        checked = self._checked_analysis(analysis, forecast)
+        there = range(window.cycles[0].number, window.cycles[-1].number + 1)
+        for cycles, belief in checked.revised.items():
+            what = f"the belief revised after {cycles} cycles"
+            if cycles not in there:
+                raise ContractError(
+                    f"{self.label}: {what} lies outside its window, which goes back to cycle {there.start}"
+                )
+            if not isinstance(belief, Forecast):
+                raise ContractError(f"{self.label}: {what} must be a Forecast, got {type(belief).__name__}")
+            self.checked(belief.ensemble.members, forecast.members.shape, what)
+            require_sense(self, forecast.space, belief.ensemble.members)
+        return checked
+
+    def _unchanged(self, forecast: Ensemble, memory: Memory | None) -> Analysis:
+        """Return the forecast, brought into the state's set."""
+        members = forecast.space.retract(forecast.members, np.zeros(forecast.space.size))
+        return Analysis(members, memory, weights=forecast.weights)
+
+    @contextmanager
+    def _own_algebra(self, forecast: Ensemble) -> Iterator[None]:
+        """Have a failure of the filter's linear algebra say where the forecast is farthest from sense."""
+        try:
+            yield
+        except np.linalg.LinAlgError as error:
+            raise DivergenceError(
+                f"{self.label}: its linear algebra failed ({error}); the forecast's most extreme number is "
+                f"{described(forecast.space, forecast.members)}"
+            ) from error
+
+    def _checked_analysis(self, analysis: Analysis, forecast: Ensemble) -> Analysis:
+        """Return the analysis with its members as float64 (N, n); raises ContractError or DivergenceError."""
+        if not isinstance(analysis, Analysis):
+            raise ContractError(f"{self.label}: expected an Analysis, got {type(analysis).__name__}")
+        members = self.checked(analysis.members, forecast.members.shape, "members after the analysis")
+        require_sense(self, forecast.space, members)
+        self.checked_diagnostics(analysis.diagnostics)
+        if analysis.weights is not None:
+            try:
+                forecast.with_members(members, analysis.weights)
+            except ContractError as error:
+                raise ContractError(f"{self.label}: {error}") from error
+        return replace(analysis, members=members)

@@ -1,0 +1,91 @@
+"""Model: how the state evolves, and what a first guess of it is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from dafw.core.domain import Domain
+from dafw.core.ensemble import Ensemble, Forecast, Memory, Step
+from dafw.core.errors import ConfigurationError
+from dafw.core.plugin import Plugin, require_sense
+from dafw.core.rng import MemberStreams
+from dafw.core.space import Array, StateSpace
+
+
+class Model(Plugin):
+    """How the state evolves from t to t + dt, and what a first guess of it is.
+
+    Authors set ``space`` and ``dt`` (seconds), and ``domain`` where the state has places, and define ``initial`` and
+    ``step`` (or ``step_with_memory``).
+
+    >>> class Decay(Model):
+    ...     space, dt = StateSpace([Variable("level", 2)]), 1.0
+    ...     def initial(self, n_members, rng): return rng.standard_normal((n_members, 2))
+    ...     def step(self, members, t, rng): return 0.5 * members
+    >>> Decay().forecast(Ensemble([[2.0, 4.0]], Decay.space), None, None).ensemble.members
+    array([[1., 2.]])
+    """
+
+    kind = "model"
+    space: StateSpace
+    dt: float
+    domain: Domain | None = None
+
+    def initial(self, n_members: int, rng: MemberStreams) -> Array:
+        """Return draws (N, n) from the first guess; row i from ``rng[i]`` alone."""
+        raise NotImplementedError(f"{self.label} must define initial(n_members, rng)")
+
+    def step(self, members: Array, t: float, rng: MemberStreams) -> Array:
+        """Return the members (N, n) at t + dt, model error included."""
+        raise NotImplementedError(f"{self.label} must define step(members, t, rng)")
+
+    def notes(self) -> list[str]:
+        """Return sentences for the log about what the model was made of."""
+        return []
+
+    def share(self, communicator: Any) -> None:
+        """Share the work of every step with the other ranks of an MPI communicator; called before anything else.
+
+        All ranks then call the same in the same order, and every one gets the whole result. Raises ConfigurationError:
+        a model that says nothing else works in one process.
+        """
+        raise ConfigurationError(f"{self.label} works in one process: mpirun brings nothing, run it without")
+
+    def require_available(self) -> None:
+        """Raise ConfigurationError where something that the options name is not there; asked before a run begins."""
+
+    def pinned_options(self) -> Mapping[str, Any]:
+        """Return options to lay over the configured ones so that other processes make the very same model.
+
+        That is what a configuration leaves open: "the newest basis" is by now one of a certain name.
+        """
+        return {}
+
+    def initial_memory(self, members: Array) -> Memory | None:
+        """Return what a step of these members (N, n) must be told; arrays have the members on axis 0."""
+        return None
+
+    def step_with_memory(self, members: Array, memory: Memory | None, t: float, rng: MemberStreams) -> Step:
+        """Return the step of a model that remembers."""
+        return Step(self.step(members, t, rng))
+
+    def first_guess(self, n_members: int, rng: MemberStreams) -> Forecast:
+        """Draw, check and wrap the initial ensemble; raises ContractError."""
+        members = self.checked(self.initial(n_members, rng), (n_members, self.space.size), "initial members")
+        return Forecast(Ensemble(members, self.space), self.initial_memory(members))
+
+    def forecast(self, ensemble: Ensemble, memory: Memory | None, rng: MemberStreams) -> Forecast:
+        """Step the ensemble by dt; raises ContractError where shape or numbers are not as agreed."""
+        return self.stepped(ensemble, self.step_with_memory(ensemble.members, memory, ensemble.time, rng))
+
+    def stepped(self, ensemble: Ensemble, step: Step) -> Forecast:
+        """Check and wrap what a step of the ensemble gave, whoever took it; the members keep their weights.
+
+        Raises ContractError, and DivergenceError where numbers are far beyond what the model can produce.
+        """
+        members = self.checked(step.members, ensemble.members.shape, "members after a step")
+        require_sense(self, self.space, members)
+        self.checked_diagnostics(step.diagnostics)
+        stepped = Ensemble(members, self.space, ensemble.time + self.dt, ensemble.weights)
+        return Forecast(stepped, step.memory, step.diagnostics)

@@ -1,0 +1,134 @@
+"""Values between the nodes: of one state at given places, and of one state space in another.
+
+On triangles the value in between is linear (barycentric weights); on a line it is linear, too; otherwise it is that of
+the nearest node. A point outside of all triangles, as a node of another mesh at a wall may be by rounding, takes the
+value of the nearest node.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dafw.core.domain import Domain
+from dafw.core.ensemble import Ensemble
+from dafw.core.errors import ConfigurationError
+from dafw.core.space import Array, IntArray, Kind, StateSpace, Variable
+
+
+def weights_at(variable: Variable, triangles: NDArray[np.int32] | None, points: Array) -> tuple[IntArray, Array]:
+    """Return which entries of a variable count at ``points`` (m, d) and how much: indices and weights, both (m, k).
+
+    ``triangles`` (faces, 3) connect the entries, None where nothing does. Raises ConfigurationError where the variable
+    has no places.
+    """
+    nodes = variable.coordinates
+    if nodes is None or nodes.shape[1] != points.shape[1]:
+        raise ConfigurationError(f"the variable '{variable.name}' has no places in {points.shape[1]} dimensions")
+    if triangles is not None:
+        return _in_triangles(variable, triangles, points)
+    if nodes.shape[1] == 1:
+        return _on_line(nodes[:, 0], points[:, 0])
+    nearest = variable.nearest(points)
+    return nearest[:, np.newaxis], np.ones((len(points), 1))
+
+
+def _in_triangles(variable: Variable, triangles: NDArray[np.int32], points: Array) -> tuple[IntArray, Array]:
+    from matplotlib.tri import Triangulation
+
+    nodes = np.asarray(variable.coordinates)
+    face = Triangulation(*nodes.T, triangles).get_trifinder()(*points.T)
+    inside = face >= 0
+    corners = triangles[np.where(inside, face, 0)].astype(np.int64)
+    a, b, c = np.moveaxis(nodes[corners], 1, 0)
+    twice_area = _cross(b - a, c - a)
+    weights = np.stack([_cross(b - points, c - points), _cross(c - points, a - points), _cross(a - points, b - points)])
+    weights = (weights / twice_area).T
+    if not inside.all():
+        corners[~inside] = variable.nearest(points[~inside])[:, np.newaxis]
+        weights[~inside] = [1.0, 0.0, 0.0]
+    return corners, weights
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Return the third component of the cross products of vectors (m, 2) in the plane."""
+    return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+
+
+def _on_line(nodes: Array, points: Array) -> tuple[IntArray, Array]:
+    order = np.argsort(nodes)
+    after = np.clip(np.searchsorted(nodes[order], points), 1, len(nodes) - 1)
+    left, right = order[after - 1], order[after]
+    share = np.clip((points - nodes[left]) / (nodes[right] - nodes[left]), 0.0, 1.0)
+    return np.stack([left, right], axis=1), np.stack([1.0 - share, share], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """One state as seen in another state space: ``matrix`` (m, n), sparse; NaN where the state has no such thing."""
+
+    space: StateSpace
+    matrix: Any
+    missing: NDArray[np.bool_]
+
+    def of(self, ensemble: Ensemble) -> Ensemble:
+        """Return an ensemble (N, n) of the one space as an ensemble (N, m) of the other."""
+        members = np.asarray((self.matrix @ ensemble.members.T).T)
+        members[:, self.missing] = np.nan
+        return Ensemble(members, self.space, ensemble.time, ensemble.weights)
+
+
+def view(of: StateSpace, of_domain: Domain | None, space: StateSpace, role: str) -> View | None:
+    """Return how a state of the space ``of`` is seen in ``space``; None where both mean the same by the same numbers.
+
+    Variables meet by name; places in between are interpolated. What ``of`` does not have is NaN, but for the first
+    variable, which is the one that is scored. Raises ConfigurationError, which names the ``role`` of the state that is
+    seen, where the first variable is missing, of another kind, or cannot be interpolated.
+    """
+    if of.agrees(space):
+        return None
+    from scipy.sparse import csr_array
+
+    theirs = {variable.name: variable for variable in of.variables}
+    rows, columns, values = [], [], []
+    missing = np.ones(space.size, dtype=bool)
+    for number, variable in enumerate(space.variables):
+        other = theirs.get(variable.name)
+        if other is None or other.kind is not variable.kind:
+            if number == 0:
+                found = "none" if other is None else f"one of the kind {other.kind.value}"
+                raise ConfigurationError(
+                    f"the {role} must have the variable '{variable.name}' ({variable.kind.value}), it has {found}: "
+                    f"{of!r}"
+                )
+            continue
+        indices, weights = _from_variable(other, variable, of, of_domain, role)
+        part = space.slice(variable.name)
+        rows.append(np.repeat(np.arange(part.start, part.stop), indices.shape[1]))
+        columns.append(indices.ravel() + of.slice(variable.name).start)
+        values.append(weights.ravel())
+        missing[part] = False
+    entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
+    return View(space, csr_array(entries, shape=(space.size, of.size)), missing)
+
+
+def _from_variable(
+    other: Variable, variable: Variable, of: StateSpace, domain: Domain | None, role: str
+) -> tuple[IntArray, Array]:
+    """Return which entries of ``other`` make those of ``variable``, and how much each counts."""
+    same = other.size == variable.size
+    if same and variable.coordinates is None and other.coordinates is None:
+        return np.arange(variable.size)[:, np.newaxis], np.ones((variable.size, 1))
+    if variable.coordinates is None or other.coordinates is None or variable.kind is Kind.ANGLE:
+        raise ConfigurationError(
+            f"the {role}'s '{variable.name}' has {other.size} numbers, the model's {variable.size}: expected places "
+            f"between which plain numbers can be interpolated"
+        )
+    if same and np.array_equal(other.coordinates, variable.coordinates):
+        return np.arange(variable.size)[:, np.newaxis], np.ones((variable.size, 1))
+    # The triangles connect the nodes of the first variable.
+    triangles = domain.triangles if domain is not None and other is of.variables[0] else None
+    return weights_at(other, triangles, variable.coordinates)

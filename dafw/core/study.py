@@ -1,0 +1,199 @@
+"""A study composed of objects: the face of dafw in plain Python, and what a configuration is turned into.
+
+``Study(...)`` computes nothing. ``prepare`` builds what the parts need (a mesh, say), checks that they fit together and
+returns the parts of a cycle; iterating over a study gives its cycles, one at a time, for those who own their loop.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from dafw.core.cycle import Cycle, Parts, advance, start
+from dafw.core.ensemble import Route, Vehicle
+from dafw.core.errors import ConfigurationError
+from dafw.core.executors import Executor
+from dafw.core.interfaces import Filter, Model, Observer, Policy, Readings
+from dafw.core.interpolation import view
+from dafw.core.late import LATE_CHOICES
+from dafw.core.memory import require_memory
+from dafw.core.registry import registry
+from dafw.core.rng import Streams
+
+RECORDED = ("none", "parameters", "all")
+
+
+def _built_in(kind: str, name: str) -> Any:
+    """Return a built-in part with its defaults."""
+    return registry().create(kind, {"name": name})
+
+
+@dataclass(kw_only=True)
+class Study:
+    """All parts of a study and how long it goes on.
+
+    model, filter            what evolves, and what learns
+    readings                 where the numbers come from: of the truth where nothing else is said
+    truth                    the model that a twin's readings come from; None: there is no truth, and nothing is scored
+    free                     the model of the free run, the first guess left alone; None: no free run
+    observer, policy         what would be read, and where the vehicles go
+    start, speed             where the vehicles are at first, [[x, y], ...] in metres, and how fast they fly in m/s
+    members, cycles, seed    the size N of the ensemble, the number of time steps, the seed of all random numbers
+    late_readings            what becomes of a late reading that the filter cannot look back to: ``drop`` or ``use`` now
+    record                   the variables of which run.nc keeps every member: none, parameters, all
+    configuration            what the study was composed from by names and numbers; None: it was made in Python
+    section                  corners [[x, y], ...] of the polyline of the section picture, in metres
+    """
+
+    model: Model
+    filter: Filter
+    readings: Readings = field(default_factory=partial(_built_in, "readings", "twin"))
+    truth: Model | None = None
+    free: Model | None = None
+    observer: Observer = field(default_factory=partial(_built_in, "observer", "none"))
+    policy: Policy = field(default_factory=partial(_built_in, "policy", "stationary"))
+    executor: Executor = field(default_factory=partial(_built_in, "executor", "serial"))
+    start: Sequence[Sequence[float]] = ()
+    speed: float = 10.0
+    members: int = 10
+    cycles: int = 100
+    seed: int = 0
+    late_readings: str = "drop"
+    record: str = "parameters"
+    section: Sequence[Sequence[float]] = ()
+    pictures: bool = False
+    name: str = "study"
+    configuration: Mapping[str, Any] | None = None
+
+    def __post_init__(self) -> None:
+        wanted = {"model": Model, "filter": Filter, "readings": Readings, "observer": Observer, "policy": Policy}
+        for role, kind in {**wanted, "executor": Executor, "truth": Model, "free": Model}.items():
+            part = getattr(self, role)
+            if not isinstance(part, kind) and not (part is None and role in ("truth", "free")):
+                raise ConfigurationError(f"a study's {role} must be a {kind.kind}, got {type(part).__name__}")
+        for label, value, choices in (
+            ("late_readings", self.late_readings, LATE_CHOICES),
+            ("record", self.record, RECORDED),
+        ):
+            if value not in choices:
+                raise ConfigurationError(f"a study's {label} must be one of {', '.join(choices)}, got {value!r}")
+        for label, number in (("members", self.members), ("cycles", self.cycles)):
+            if number < 1:
+                raise ConfigurationError(f"a study's {label} must be at least 1, got {number}")
+        if not 0 <= self.seed < 2**63:
+            raise ConfigurationError(f"a study's seed must lie between 0 and 2^63 - 1, got {self.seed}")
+        window = self.filter.window
+        if window is not None and window < 0:
+            raise ConfigurationError(f"{self.filter.label}: its window must not be negative, got {window}")
+        self.filter.require_members(self.members)
+        if self.readings.needs_truth and self.truth is None:
+            raise ConfigurationError(
+                f"{self.readings.label} reads a truth, and the study has none: give it a truth, or readings of another "
+                f"source"
+            )
+
+    @property
+    def models(self) -> dict[str, Model]:
+        """The models by their role: model, truth, free."""
+        models = {"model": self.model, "truth": self.truth, "free": self.free}
+        return {role: model for role, model in models.items() if model is not None}
+
+    @property
+    def parts_by_role(self) -> Mapping[str, Any]:
+        """All plugins of the study by their role."""
+        kinds = ("observer", "policy", "filter", "readings", "executor")
+        return {**self.models, **{kind: getattr(self, kind) for kind in kinds}}
+
+    @property
+    def model_configuration(self) -> Mapping[str, Any] | None:
+        """From what other processes can make the model; None for a model of a class that is not registered."""
+        return registry().recipe(self.model) if self.configuration is None else self.configuration["model"]
+
+    def prepare(self, communicator: Any = None) -> tuple[Parts, Vehicle]:
+        """Build the parts of a cycle and place the vehicles; raises a DafwError that names the plugin.
+
+        The ranks of an MPI ``communicator``, which call together, share the work of the models.
+        """
+        model = self.model
+        if communicator is not None:
+            if registry().recipe(self.executor) != {"name": "serial"}:
+                raise ConfigurationError(f"mpirun expects the executor 'serial', got {self.executor.label}")
+            for one in self.models.values():
+                one.share(communicator)
+        for role, other in self.models.items():
+            if other.dt != model.dt:
+                raise ConfigurationError(f"the {role} has dt = {other.dt:g} s, the model {model.dt:g} s: expected one")
+        if self.free is not None and not self.free.space.agrees(model.space):
+            raise ConfigurationError(
+                f"the free run has {self.free.space!r}, the model {model.space!r}: they must agree, in their "
+                f"coordinates too"
+            )
+        truth_view = None
+        if self.truth is not None:
+            truth_view = view(self.truth.space, self.truth.domain, model.space, "truth")
+        for role, asked in self.models.items():
+            try:
+                asked.require_available()
+            except ConfigurationError as error:  # the model was asked first
+                raise type(error)(str(error) if role == "model" else f"{role}: {error}") from error
+        vehicle = self._vehicle()
+        self.observer.suit(model.space, model.dt)
+        self.observer.look(model.space, Route.hover(vehicle), 0.0)
+        self.policy.suit(model.space)
+        self.filter.suit(model.space, self.members)
+        self.readings.suit(model.space, model.domain, model.dt)
+        self._require_memory()
+        parts = Parts(
+            model=model,
+            truth=self.truth,
+            free=self.free,
+            observer=self.observer,
+            policy=self.policy,
+            filter=self.filter,
+            readings=self.readings,
+            streams=Streams(self.seed),
+            executor=self.executor,
+            late_readings=self.late_readings,
+            truth_view=truth_view,
+        )
+        return parts, vehicle
+
+    def _vehicle(self) -> Vehicle:
+        """Return the vehicles at their start; raises ConfigurationError where one cannot be there."""
+        domain = self.model.domain
+        positions = np.array(self.start, dtype=np.float64).reshape(-1, 2)
+        for number, position in enumerate(positions):
+            if domain is not None and not domain.is_free(position, position):
+                raise ConfigurationError(
+                    f"vehicle {number} cannot start at {position.tolist()}: that is inside a building or outside the "
+                    f"domain {[round(bound, 1) for bound in domain.bounds]}"
+                )
+        for corner in self.section:
+            if domain is not None and not domain.contains(np.array(corner)):
+                raise ConfigurationError(f"the section's corner {corner} lies outside the domain {domain.bounds}")
+        return Vehicle(positions, self.speed, self.model.dt, domain)
+
+    def _require_memory(self) -> None:
+        """Raise ConfigurationError where the ensemble and the past that the filter looks back to cannot be held."""
+        state = 8.0 * self.members * self.model.space.size
+        window = self.cycles if self.filter.window is None else self.filter.window
+        beliefs = window if self.filter.past_beliefs == "all" or self.filter.window is not None else 1
+        wanted = {f"{self.members} members of {self.model.space.size} numbers, with what is made of them": 8.0 * state}
+        if window:
+            wanted[f"{beliefs} past beliefs that {self.filter.label} looks back to"] = beliefs * state
+        require_memory(wanted)
+
+    def __iter__(self) -> Iterator[Cycle]:
+        """Run the study and give its cycles one at a time; nothing is written."""
+        parts, vehicle = self.prepare()
+        with parts.executor:
+            parts.executor.start(parts.model, self.model_configuration)
+            state = start(parts, self.members, vehicle)
+            for _ in range(self.cycles):
+                cycle = advance(parts, state)
+                yield cycle
+                state = cycle.state

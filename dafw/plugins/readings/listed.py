@@ -1,0 +1,117 @@
+"""A list of readings: what somebody wrote down, or a script brings along.
+
+Each reading has its own time and may become known later than it was taken. It is about a place, where the value of the
+state is interpolated between the nodes, or about an entry of a variable that has no places.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dafw.core.domain import Domain
+from dafw.core.errors import ConfigurationError
+from dafw.core.interfaces import Readings
+from dafw.core.interfaces.readings import Request
+from dafw.core.interpolation import weights_at
+from dafw.core.observation import Interpolation, Observation
+from dafw.core.options import option
+from dafw.core.space import Array, IntArray, StateSpace
+
+KEYS = ("time", "value", "x", "y", "entry", "sd", "arrives")
+
+
+@dataclass
+class Listed(Readings):
+    """Readings by a list of mappings.
+
+    Each has ``time`` (s), ``value``, and ``x`` and ``y`` (m) or ``entry`` (counted from 0); it may have ``sd``, the
+    standard deviation of its error, and ``arrives``, the time (s) at which it becomes known, which is its own time
+    where nothing else is said.
+    """
+
+    readings: list[dict[str, Any]] = option(
+        [], "mappings with time, value, x and y or entry, and perhaps sd and arrives"
+    )
+    variable: str | None = option(None, "state variable that was read; null: the first")
+    sd: float = option(1e-3, "standard deviation of the error of readings that give none", above=0.0)
+
+    @classmethod
+    def check_options(cls) -> Mapping[str, Any]:
+        """Return three readings, one of which comes late."""
+        readings = [
+            {"time": 0.5, "value": 1.0, "entry": 0},
+            {"time": 1.0, "value": 2.0, "entry": 1, "sd": 0.1},
+            {"time": 0.7, "value": 3.0, "entry": 2, "arrives": 2.5},
+        ]
+        return {"readings": readings}
+
+    def __post_init__(self) -> None:
+        for number, reading in enumerate(self.readings):
+            where = f"readings 'listed': reading {number}"
+            if unknown := [key for key in reading if key not in KEYS]:
+                raise ConfigurationError(f"{where} has an unknown '{unknown[0]}' (there are: {', '.join(KEYS)})")
+            if ("entry" in reading) == ("x" in reading and "y" in reading):
+                raise ConfigurationError(f"{where} must have x and y, or entry, got {', '.join(reading)}")
+            for key in ("time", "value"):
+                if key not in reading:
+                    raise ConfigurationError(f"{where} must have a {key}, got {', '.join(reading)}")
+            for key, value in reading.items():
+                number_like = isinstance(value, int | float) and not isinstance(value, bool)
+                if not number_like or not np.isfinite(value) or (key == "sd" and value <= 0.0):
+                    raise ConfigurationError(f"{where}: {key} must be a finite number, got {value!r}")
+            if reading.get("arrives", reading["time"]) < reading["time"]:
+                raise ConfigurationError(
+                    f"{where} arrives at {reading['arrives']:g} s, before its time, {reading['time']:g} s"
+                )
+
+    def suit(self, space: StateSpace, domain: Domain | None, dt: float) -> None:
+        """Raise ConfigurationError where a reading is about no place and no entry of the variable."""
+        variable = space.variables[0] if self.variable is None else space[self.variable]
+        for number, reading in enumerate(self.readings):
+            if "entry" in reading and not 0 <= reading["entry"] < variable.size:
+                raise ConfigurationError(
+                    f"{self.label}: reading {number} is about entry {reading['entry']}, "
+                    f"the variable '{variable.name}' has {variable.size}"
+                )
+            if "x" in reading and domain is not None and not domain.contains(np.array([reading["x"], reading["y"]])):
+                raise ConfigurationError(
+                    f"{self.label}: reading {number} at ({reading['x']:g}, {reading['y']:g}) m lies outside the domain"
+                )
+        self._entries(self.readings, space, domain)
+
+    def _entries(
+        self, readings: Sequence[Mapping[str, Any]], space: StateSpace, domain: Domain | None
+    ) -> tuple[IntArray, Array]:
+        """Return which entries of the state make each reading, and how much each counts, both (R, 3)."""
+        variable = space.variables[0] if self.variable is None else space[self.variable]
+        indices, weights = np.zeros((len(readings), 3), dtype=np.int64), np.zeros((len(readings), 3))
+        triangles = domain.triangles if domain is not None and variable is space.variables[0] else None
+        for row, reading in enumerate(readings):
+            if "entry" in reading:
+                indices[row], weights[row, 0] = int(reading["entry"]), 1.0
+        placed = [row for row, reading in enumerate(readings) if "x" in reading]
+        if placed:
+            places = np.array([[readings[row]["x"], readings[row]["y"]] for row in placed], dtype=np.float64)
+            found, shares = weights_at(variable, triangles, places)
+            indices[placed, : found.shape[1]], weights[placed, : shares.shape[1]] = found, shares
+        return indices + space.slice(variable.name).start, weights
+
+    def take(self, request: Request, rng: np.random.Generator) -> Sequence[Observation]:
+        """Return an observation for each reading that became known in this cycle, those before the start with it."""
+        opened = -np.inf if request.cycle == 0 else request.start
+        due = [r for r in self.readings if opened < r.get("arrives", r["time"]) <= request.end]
+        indices, weights = self._entries(due, request.space, request.domain)
+        taken = []
+        for row, reading in enumerate(due):
+            operator = Interpolation(
+                indices=indices[row : row + 1],
+                weights=weights[row : row + 1],
+                covariance=np.array([reading.get("sd", self.sd) ** 2]),
+                coordinates=np.array([[reading["x"], reading["y"]]]) if "x" in reading else None,
+            )
+            taken.append(Observation(np.array([reading["value"]]), operator, float(reading["time"])))
+        return taken

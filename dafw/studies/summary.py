@@ -1,0 +1,152 @@
+"""What ``summary.json`` says of a run: how it ended, how the belief did, what it was made of and how long it took."""
+
+from __future__ import annotations
+
+import json
+import math
+import platform
+from collections.abc import Iterator, Mapping
+from importlib.metadata import PackageNotFoundError, version
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from dafw.core.cycle import Cycle, Parts, State
+from dafw.core.registry import registry
+from dafw.core.study import Study
+
+VERSIONED = ("dafw", "numpy", "scipy", "dolfinx-solver-real", "gmsh", "netcdf4", "xarray", "hydra-core")
+
+
+class Summary:
+    """One run's summary, brought up to date cycle by cycle."""
+
+    def __init__(self, study: Study, begun: float, processes: int) -> None:
+        self.study, self.begun, self.processes = study, begun, processes
+        self.status, self.error = "interrupted", ""
+        self.cycles = 0
+        self.warned: set[str] = set()
+        self.diverged_at: float | None = None
+        self.pinned: dict[str, Mapping[str, Any]] = {}
+        self._seconds: dict[str, float] = {}
+        self._scores: dict[str, float] = {}
+        self._parameters: dict[str, dict[str, float | None]] = {}
+        self._counts: dict[str, int] = {}
+        self._innovations: list[float] = []
+
+    def begin(self, study: Study) -> None:
+        """Note what was found when the models were made, and how long that took."""
+        found = {role: model.pinned_options() for role, model in study.models.items()}
+        self.pinned = {role: options for role, options in found.items() if options}
+        self._seconds["set-up"] = perf_counter() - self.begun
+
+    def add(self, cycle: Cycle, scores: Mapping[str, float]) -> None:
+        """Add a finished cycle."""
+        self.cycles += 1
+        self._scores = dict(scores)
+        if math.isfinite(scores["innovation_rms"]):
+            self._innovations.append(scores["innovation_rms"])
+        for phase, seconds in cycle.seconds.items():
+            self._seconds[phase] = self._seconds.get(phase, 0.0) + seconds
+        for use, count in cycle.readings.counts.items():
+            self._counts[use] = self._counts.get(use, 0) + count
+        if self.diverged_at is None and self._excess(cycle) > 1.0:
+            self.diverged_at = cycle.state.belief.ensemble.time
+
+    def end(self, parts: Parts, state: State) -> None:
+        """Note the parameters after the last cycle."""
+        self._parameters = _parameters(parts, state)
+
+    @staticmethod
+    def _excess(cycle: Cycle) -> float:
+        belief = cycle.state.belief.ensemble
+        return belief.space.excess(belief.members)
+
+    def warnings(self, cycle: Cycle, parts: Parts) -> Iterator[tuple[str, str]]:
+        """Give what a user must know about a cycle, by what it is about: each kind is said once."""
+        belief = cycle.state.belief.ensemble
+        if self.diverged_at == belief.time:
+            member, entry = belief.space.farthest(belief.members)
+            yield (
+                "diverged",
+                f"{parts.filter.label} has diverged: {belief.space.place_of(entry)} of member {member} is "
+                f"{belief.members[member, entry]:.4g}, more than the model itself can produce",
+            )
+        said = {
+            "late_used_now": "a reading came late and is used as if it were of now",
+            "late_dropped": "a reading came too late and is dropped",
+            "before_start": "a reading is of a time before the study begins and is dropped",
+        }
+        for use, text in said.items():
+            if cycle.readings.counts.get(use):
+                yield use, f"{text} (summary.json counts them)"
+
+    def values(self) -> dict[str, Any]:
+        """Return the summary as it stands."""
+        study = self.study
+        summary = {
+            "status": self.status,
+            "name": study.name,
+            "seed": study.seed,
+            "members": study.members,
+            "executor": registry().recipe(study.executor) or {"name": type(study.executor).__name__},
+            "processes": self.processes,
+            "cycles": self.cycles,
+            "cycles_wanted": study.cycles,
+            "err_final": _finite(self._scores.get("err")),
+            "err_free_final": _finite(self._scores.get("err_free")),
+            "innovation_rms": math.sqrt(np.mean(np.square(self._innovations))) if self._innovations else None,
+            "diverged_at": self.diverged_at,
+            "readings": self._counts,
+            "parameters_final": self._parameters,
+            "wall_seconds": round(perf_counter() - self.begun, 3),
+            "pinned": self.pinned,
+            "phase_seconds": {phase: round(seconds, 4) for phase, seconds in self._seconds.items()},
+            "versions": _versions(),
+        }
+        return summary | ({"error": self.error} if self.error else {})
+
+    def text(self) -> str:
+        """Return the summary as JSON."""
+        return json.dumps(self.values(), indent=2) + "\n"
+
+
+def file_attributes(study: Study, pinned: Mapping[str, Mapping[str, Any]]) -> dict[str, str | int]:
+    """Return the global attributes of a run's file."""
+    return {
+        "title": f"dafw study {study.name}",
+        "name": study.name,
+        "seed": study.seed,
+        "dafw_version": version("dafw"),
+        **{f"{role}_pinned": json.dumps(options) for role, options in pinned.items()},
+    }
+
+
+def _finite(value: float | None) -> float | None:
+    return value if value is not None and math.isfinite(value) else None
+
+
+def _versions() -> dict[str, str]:
+    found = {"python": platform.python_version()}
+    for name in VERSIONED:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def _parameters(parts: Parts, state: State) -> dict[str, dict[str, float | None]]:
+    """Return truth, mean and spread of every state variable that is a single number; None where there is none."""
+    belief, truth = state.belief.ensemble, parts.seen(state.truth)
+    listed = {}
+    for variable in parts.model.space.variables:
+        if variable.size == 1:
+            place = parts.model.space.slice(variable.name).start
+            listed[variable.name] = {
+                "truth": _finite(float(truth.members[0, place])) if truth else None,
+                "mean": float(belief.mean[place]),
+                "spread": float(np.nan_to_num(belief.spread[place])),
+            }
+    return listed
