@@ -86,13 +86,19 @@ class Rerun:
         role       the name of the random streams; the default are the belief's own
         keep       hand out the ensembles after all cycles
 
-        Raises ContractError where the cycles are in no order or an operator belongs to none of them.
+        Raises ContractError where the cycles are in no order, an operator belongs to none of them, or the members are
+        of another state.
         """
         if last <= first or first < 0:
             raise ContractError(f"a re-run must go from a cycle to a later one, got {first} to {last}")
         wanted = {cycle - first + 1: operator for cycle, operator in (operators or {}).items()}
         if outside := [cycle for cycle in operators or {} if not first <= cycle < last]:
             raise ContractError(f"a re-run of cycles {first} to {last - 1} has an operator for cycle {outside[0]}")
+        members = (start if isinstance(start, Ensemble) else start.ensemble).members
+        if members.ndim != 2 or members.shape[1] != self._model.space.size:
+            raise ContractError(
+                f"{self._model.label}: a re-run needs members (N, {self._model.space.size}), got {members.shape}"
+            )
         if isinstance(start, Ensemble):
             start = Forecast(start, self._model.initial_memory(start.members))
         ensemble = start.ensemble
