@@ -78,7 +78,7 @@ def realtime_factor(overrides: Sequence[str], cycles: int, *, warm: bool = True)
         summary = run_study(study, Path(folder) / "run")
     phases: Mapping[str, float] = summary["phase_seconds"]
     looping = sum(seconds for phase, seconds in phases.items() if phase != "set-up")
-    simulated = cycles * study.model.get("dt", 1.0)
+    simulated = cycles * study.model.dt
     detail = {
         "members": study.members,
         "without_set_up": round(simulated / looping, 3),

@@ -166,7 +166,9 @@ def advance(parts: Parts, state: State) -> Cycle:
     clock = _Clock(now)
 
     with clock.phase("decide", parts.policy):
-        outlook = Outlook(belief, state.vehicle, state.policy_memory, cycle, parts.rerun)
+        outlook = None
+        if parts.policy.looks_ahead:
+            outlook = Outlook(belief, state.vehicle, state.policy_memory, cycle, parts.rerun)
         rng = streams.generator("policy", cycle)
         route = parts.policy.route(belief.ensemble, state.vehicle, state.policy_memory, rng, outlook)
     with clock.phase("observe", parts.observer):

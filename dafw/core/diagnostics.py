@@ -52,23 +52,28 @@ def scores(
     return found
 
 
-def innovation_scores(observation: Observation, forecast: Ensemble, predicted: Array) -> dict[str, float]:
+def innovation_scores(observation: Observation, forecast: Ensemble, predicted: Array, mean: Array) -> dict[str, float]:
     """Return ``INNOVATION``: mean and root mean square of the normalised innovations; NaN without readings.
 
     An innovation y - mean(H x) is divided by the standard deviation that the forecast expects it to have, the root of
-    its predicted variance plus that of R. ``predicted`` (N, m). Where the belief is honest, the mean is near 0 and the
-    root mean square near 1.
+    its predicted variance plus that of R. ``predicted`` (N, m) has the ``mean`` (m,). Where the belief is honest, the
+    mean is near 0 and the root mean square near 1.
     """
     if observation.values.size == 0:
         return dict.fromkeys(INNOVATION, float("nan"))
-    mean = forecast.average(predicted)
     covariance = observation.covariance
     expected = covariance if covariance.ndim == 1 else np.diag(covariance)
-    if len(forecast) > 1:
-        lost = 1.0 - 1.0 / forecast.effective_size  # of N members N - 1 are free
-        expected = expected + forecast.average((predicted - mean) ** 2) / max(lost, 1e-12)
+    off = predicted - mean
+    if forecast.weights is None:
+        expected = expected + np.einsum("ij,ij->j", off, off) / max(1, len(forecast) - 1)
+    else:
+        share = max(1e-12, 1.0 - 1.0 / forecast.effective_size)
+        expected = expected + np.einsum("i,ij,ij->j", forecast.weights, off, off) / share
     normalised = (observation.values - mean) / np.sqrt(expected)
-    return {"innovation_mean": float(normalised.mean()), "innovation_rms": root_mean_square(normalised)}
+    return {
+        "innovation_mean": float(np.add.reduce(normalised)) / normalised.size,
+        "innovation_rms": root_mean_square(normalised),
+    }
 
 
 def _norm(values: Array) -> float:

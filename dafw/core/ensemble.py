@@ -27,7 +27,7 @@ def freeze(array: Any) -> Array:
     """
     frozen = np.asarray(array, dtype=np.float64, order="C")
     if frozen.flags.writeable:
-        frozen = frozen.copy() if np.may_share_memory(frozen, array) else frozen
+        frozen = frozen.copy() if isinstance(array, np.ndarray) else frozen
         frozen.setflags(write=False)
     return frozen
 
@@ -144,8 +144,9 @@ class Ensemble:
 
     def average(self, values: Array) -> Array:
         """Return the mean (...) over the members of plain numbers ``values`` (N, ...), such as predicted readings."""
-        average: Array = values.mean(axis=0) if self.weights is None else np.tensordot(self.weights, values, axes=1)
-        return average
+        if self.weights is None:
+            return np.asarray(np.add.reduce(values, axis=0) / len(values))
+        return np.asarray(np.tensordot(self.weights, values, axes=1))
 
     def with_members(self, members: Array, weights: Array | None = None) -> Ensemble:
         """Return other members (M, n) of the same space at the same time."""

@@ -20,7 +20,7 @@ from dafw.core.diagnostics import INNOVATION, SCORES, error_of, innovation_score
 from dafw.core.ensemble import Ensemble
 from dafw.core.observation import Observation, Selection
 from dafw.core.run_file import RunFile
-from dafw.core.space import Array
+from dafw.core.space import Array, StateSpace
 
 FLUSH_SECONDS = 0.5
 
@@ -111,39 +111,13 @@ class Record:
         # How long recording took is known when it is done: the row after it says so.
         seconds = cycle.seconds | {"record": self._recording}
         row: dict[str, Any] = {"phase_seconds": [seconds.get(phase, np.nan) for phase in PHASES]}
-        row |= self._observation_row(cycle)
-        row |= innovation_scores(cycle.observation, cycle.forecast, cycle.predicted)
+        expected = cycle.forecast.average(cycle.predicted)
+        row |= _observation_row(cycle, expected, self._space)
+        row |= innovation_scores(cycle.observation, cycle.forecast, cycle.predicted, expected)
         for kind, diagnostics in cycle.diagnostics.items():
             for name, diagnostic in diagnostics.items():
                 row[f"{kind}_{name}"] = values = np.asarray(diagnostic.values)
                 self._file.require(f"{kind}_{name}", diagnostic, values)
-        return row
-
-    def _observation_row(self, cycle: Cycle) -> dict[str, Any]:
-        """Return the readings that became known in the cycle: those of now, late ones, and those that were dropped."""
-        readings = cycle.readings
-        known = [(readings.now, 0), *((one, 1) for _, one in readings.late), *((one, 2) for one in readings.dropped)]
-        expected = cycle.forecast.average(cycle.predicted)
-        unknown = [np.full(observation.values.size, np.nan) for observation, _ in known[1:]]
-        row: dict[str, Any] = {
-            "observation_value": np.concatenate([one.values for one, _ in known]),
-            "observation_forecast_mean": np.concatenate([expected, *unknown]),
-            "observation_variance": np.concatenate([_variances(one) for one, _ in known]),
-            "observation_time": np.concatenate([np.full(one.values.size, one.time) for one, _ in known]),
-            "observation_use": np.concatenate([np.full(one.values.size, use, dtype="i1") for one, use in known]),
-        }
-        entries = [one.operator.indices for one, _ in known if isinstance(one.operator, Selection)]
-        if len(entries) == len(known):
-            read = np.concatenate(entries)
-            row["observation_node"] = np.where(read < self._space.variables[0].size, read, -1)
-        for axis, letter in enumerate("xy"):
-            places = [_coordinate(one, axis) for one, _ in known]
-            if any(place is not None for place in places):
-                columns = [
-                    np.full(one.values.size, np.nan) if place is None else place
-                    for (one, _), place in zip(known, places, strict=True)
-                ]
-                row[f"observation_{letter}"] = np.concatenate(columns)
         return row
 
     def flush(self) -> None:
@@ -177,16 +151,44 @@ class Record:
             self._file.close()
 
 
-def _variances(observation: Observation) -> Array:
-    """Return the error variances (m,) that the filter is told."""
-    covariance = observation.covariance
-    return covariance if covariance.ndim == 1 else np.diag(covariance)
+def _observation_row(cycle: Cycle, expected: Array, space: StateSpace) -> dict[str, Any]:
+    """Return the readings that became known in a cycle: those of now, late ones, and those that were dropped.
+
+    ``expected`` (m,) is what the forecast expected of those of now.
+    """
+    readings = cycle.readings
+    row = _readings(readings.now, 0, expected, space)
+    others = [(one, 1) for _, one in readings.late] + [(one, 2) for one in readings.dropped]
+    if not others:
+        return row
+    unknown = [np.full(one.values.size, np.nan) for one, _ in others]
+    rows = [row, *(_readings(one, use, x, space) for (one, use), x in zip(others, unknown, strict=True))]
+    missing = {"observation_node": -1, "observation_x": np.nan, "observation_y": np.nan}
+    names = dict.fromkeys(name for one in rows for name in one)
+    return {
+        name: np.concatenate(
+            [one.get(name, np.full(one["observation_value"].size, missing.get(name, np.nan))) for one in rows]
+        )
+        for name in names
+    }
 
 
-def _coordinate(observation: Observation, axis: int) -> Array | None:
-    """Return one coordinate (m,) of where the readings were taken; None where they have no such place."""
-    places = observation.operator.coordinates
-    return None if places is None or places.shape[1] <= axis else places[:, axis]
+def _readings(observation: Observation, use: int, expected: Array, space: StateSpace) -> dict[str, Any]:
+    """Return the row's variables of an observation; ``use`` says what became of it."""
+    operator, covariance, size = observation.operator, observation.covariance, observation.values.size
+    row: dict[str, Any] = {
+        "observation_value": observation.values,
+        "observation_forecast_mean": expected,
+        "observation_variance": covariance if covariance.ndim == 1 else np.diag(covariance),
+        "observation_time": np.full(size, observation.time),
+        "observation_use": np.full(size, use, dtype="i1"),
+    }
+    if isinstance(operator, Selection):
+        row["observation_node"] = np.where(operator.indices < space.variables[0].size, operator.indices, -1)
+    if operator.coordinates is not None:
+        for axis, column in zip("xy", operator.coordinates.T, strict=False):
+            row[f"observation_{axis}"] = column
+    return row
 
 
 def _squeeze(values: Array) -> Array:

@@ -204,7 +204,8 @@ class StateSpace:
 
 def _average(values: Array, weights: Array | None) -> Array:
     """Return the mean over axis 0 of ``values`` (N, k)."""
-    average: Array = values.mean(axis=0) if weights is None else weights @ values
+    # The first is what values.mean(axis=0) does, at half its overhead.
+    average: Array = np.add.reduce(values, axis=0) / len(values) if weights is None else weights @ values
     return average
 
 

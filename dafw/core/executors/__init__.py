@@ -45,7 +45,8 @@ class Executor(Plugin):
 
     def submit(self, model: Model, batch: Batch) -> Callable[[], Stepped]:
         """Begin to step all members of ``batch``; calling what comes back waits for them and gives them."""
-        batches = split(model, batch, self.width())
+        width = self.width()
+        batches = [batch] if width == 1 else split(model, batch, width)
         stepped = self.begin(model, batches)
         return lambda: join(model, batches, stepped())
 

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import replace
 from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
@@ -103,8 +100,10 @@ class Filter(Plugin):
             return self._unchanged(forecast, memory)
         predicted = self.checked(predicted, (len(forecast), observation.values.size), "predicted readings")
         predicted.setflags(write=False)
-        with self._own_algebra(forecast):
+        try:
             analysis = self.analyse_with_memory(forecast, predicted, observation, memory, rng)
+        except np.linalg.LinAlgError as error:
+            raise self._algebra_failed(forecast, error) from error
         return self._checked_analysis(analysis, forecast)
 
     def look_back(self, window: Window, rng: np.random.Generator) -> Analysis:
@@ -112,8 +111,10 @@ class Filter(Plugin):
         forecast = window.forecast.ensemble
         if window.observation.values.size == 0 and not window.late:
             return self._unchanged(forecast, window.memory)
-        with self._own_algebra(forecast):
+        try:
             analysis = self.analyse_window(window, rng)
+        except np.linalg.LinAlgError as error:
+            raise self._algebra_failed(forecast, error) from error
         checked = self._checked_analysis(analysis, forecast)
         there = range(window.cycles[0].number, window.cycles[-1].number + 1)
         for cycles, belief in checked.revised.items():
@@ -133,16 +134,12 @@ class Filter(Plugin):
         members = forecast.space.retract(forecast.members, np.zeros(forecast.space.size))
         return Analysis(members, memory, weights=forecast.weights)
 
-    @contextmanager
-    def _own_algebra(self, forecast: Ensemble) -> Iterator[None]:
-        """Have a failure of the filter's linear algebra say where the forecast is farthest from sense."""
-        try:
-            yield
-        except np.linalg.LinAlgError as error:
-            raise DivergenceError(
-                f"{self.label}: its linear algebra failed ({error}); the forecast's most extreme number is "
-                f"{described(forecast.space, forecast.members)}"
-            ) from error
+    def _algebra_failed(self, forecast: Ensemble, error: Exception) -> DivergenceError:
+        """Return an error that says where the forecast is farthest from sense."""
+        return DivergenceError(
+            f"{self.label}: its linear algebra failed ({error}); the forecast's most extreme number is "
+            f"{described(forecast.space, forecast.members)}"
+        )
 
     def _checked_analysis(self, analysis: Analysis, forecast: Ensemble) -> Analysis:
         """Return the analysis with its members as float64 (N, n); raises ContractError or DivergenceError."""
@@ -156,4 +153,6 @@ class Filter(Plugin):
                 forecast.with_members(members, analysis.weights)
             except ContractError as error:
                 raise ContractError(f"{self.label}: {error}") from error
-        return replace(analysis, members=members)
+        return Analysis(
+            members, analysis.memory, analysis.diagnostics, analysis.weights, analysis.revised, analysis.model_memory
+        )

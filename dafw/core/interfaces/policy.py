@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import pairwise, starmap
 from math import dist
 from typing import TYPE_CHECKING, ClassVar
@@ -86,7 +85,9 @@ class Policy(Plugin):
         for number, (path, position) in enumerate(zip(route.paths, vehicle.positions, strict=True)):
             self._require_flyable(number, path, position, vehicle)
         self.checked_diagnostics(route.diagnostics)
-        return replace(route, dt=vehicle.dt)
+        if route.dt == vehicle.dt:
+            return route
+        return Route(route.paths, route.memory, route.diagnostics, route.notes, vehicle.dt)
 
     def _require_flyable(self, number: int, path: Array, position: Array, vehicle: Vehicle) -> None:
         """Raise ContractError where vehicle ``number`` at ``position`` (2,) cannot fly the path (k, 2)."""

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import lru_cache
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from dafw.core.ensemble import Route
 from dafw.core.errors import ConfigurationError
 from dafw.core.interfaces import Observer
-from dafw.core.observation import ObservationOperator, Selection
+from dafw.core.observation import ObservationOperator, Selection, nothing
 from dafw.core.options import option
 from dafw.core.space import StateSpace
 from dafw.plugins.observers.schedule import is_due, require_steps
@@ -30,35 +29,34 @@ class Grid(Observer):
     noise_sd: float = option(1.0, "standard deviation of the readings' noise", above=0.0)
     assumed_variance: float | None = option(None, "variance that the filter is told; null: noise_sd squared", above=0.0)
 
+    _made: tuple[StateSpace, Selection] | None = field(default=None, init=False, repr=False, compare=False)
+
     def suit(self, space: StateSpace, dt: float) -> None:
         """Raise ConfigurationError where ``every`` is no multiple of the time step."""
         require_steps(self.every, dt, self.label)
 
     def operator(self, space: StateSpace, route: Route, t: float) -> ObservationOperator:
         """Return the readings due in this step: all, or none. Raises ConfigurationError for an entry there is not."""
-        due = is_due(t, self.every)
-        indices = (*self.indices,) if self.indices else slice(self.start, None, self.stride)
+        if not is_due(t, self.every):
+            return nothing()
+        # Made once for a state space and not in every step: checking its covariances takes longer than using it.
+        if self._made is None or self._made[0] is not space:
+            self._made = (space, self._selection(space))
+        return self._made[1]
+
+    def _selection(self, space: StateSpace) -> Selection:
+        variable = space.variables[0] if self.variable is None else space[self.variable]
+        last = max(self.indices) if self.indices else self.start
+        if last >= variable.size:
+            raise ConfigurationError(
+                f"{self.label}: variable '{variable.name}' has {variable.size} entries, there is no entry {last}"
+            )
+        entries = np.array(self.indices) if self.indices else np.arange(self.start, variable.size, self.stride)
         variance = self.noise_sd**2
         assumed = variance if self.assumed_variance is None else self.assumed_variance
-        return _selection(space, self.variable, indices if due else (), variance, assumed)
-
-
-@lru_cache(maxsize=16)
-def _selection(
-    space: StateSpace, name: str | None, wanted: tuple[int, ...] | slice, variance: float, assumed: float
-) -> Selection:
-    """Return the operator, made once and not in every step."""
-    variable = space.variables[0] if name is None else space[name]
-    last = wanted.start if isinstance(wanted, slice) else max(wanted, default=0)
-    if last >= variable.size:
-        raise ConfigurationError(
-            f"observer 'grid': variable '{variable.name}' has {variable.size} entries, there is no entry {last}"
+        return Selection(
+            indices=entries + space.slice(variable.name).start,
+            covariance=np.full(len(entries), assumed),
+            noise_covariance=np.full(len(entries), variance),
+            coordinates=None if variable.coordinates is None else variable.coordinates[entries],
         )
-    places = np.arange(variable.size)
-    entries = places[wanted] if isinstance(wanted, slice) else places[list(wanted)]
-    return Selection(
-        indices=entries + space.slice(variable.name).start,
-        covariance=np.full(len(entries), assumed),
-        noise_covariance=np.full(len(entries), variance),
-        coordinates=None if variable.coordinates is None else variable.coordinates[entries],
-    )

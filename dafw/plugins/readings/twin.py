@@ -28,5 +28,4 @@ class Twin(Readings):
             raise ContractError(f"{self.label} reads a truth, and the study has none")
         operator = request.operator
         noise = colour(operator.noise, rng.standard_normal(operator.size))
-        read = self.checked(operator.apply(request.truth.members), (1, operator.size), "readings of the truth")
-        return [Observation(read[0] + noise, operator, request.end)]
+        return [Observation(operator.apply(request.truth.members)[0] + noise, operator, request.end)]
