@@ -54,5 +54,5 @@ def test_readings_stand_where_the_variable_has_coordinates():
     ("options", "entry"), [({"indices": [3, 10]}, 10), ({"start": 10}, 10), ({"variable": "v", "start": 4}, 4)]
 )
 def test_an_entry_that_is_not_there_is_refused(options, entry):
-    with pytest.raises(ConfigurationError, match=rf"observer 'grid': .* there is no entry {entry}$"):
+    with pytest.raises(ConfigurationError, match=rf"observer 'Grid': .* there is no entry {entry}$"):
         look(Grid(**options))
