@@ -17,7 +17,8 @@ from benchmarks.cycle import PAPER, SMALL
 from benchmarks.wind import SEED, cache, case
 from dafw.core.composition import compose, study_part
 from dafw.core.experiment import study_from
-from dafw.plugins.models.dispersion.wind import WindOptions, WindSolver
+from dafw.plugins.models.dispersion.wind.options import WindOptions
+from dafw.plugins.models.dispersion.wind.solver import WindSolver
 from dafw.studies.running import run_study
 
 PROPORTIONAL = ("model.wind.closure=proportional", "executor=serial")
@@ -87,9 +88,9 @@ def share_accelerated(short: bool) -> Measurement:
 @benchmark("wind.proportional_directions")
 def directions(short: bool) -> Measurement:
     """The fewest directions in the basis with which winds it never saw have at most 1 % error, and are trusted."""
-    from dafw.plugins.models.dispersion.reduced_basis import build
-    from dafw.plugins.models.dispersion.reduced_flow import ReducedFlow
-    from dafw.plugins.models.dispersion.velocity_space import VelocitySpace
+    from dafw.plugins.models.dispersion.reduced_wind.choice import build
+    from dafw.plugins.models.dispersion.reduced_wind.flow import ReducedFlow
+    from dafw.plugins.models.dispersion.reduced_wind.velocity_space import VelocitySpace
 
     measured = case(short)
     options = WindOptions(closure="proportional")
@@ -99,8 +100,7 @@ def directions(short: bool) -> Measurement:
     full = [solver.problem.velocity(solver.solve(options.reference_intensity, direction).unit) for direction in unseen]
     reynolds, detail, fewest = solver.reynolds(options.reference_intensity), {}, 0
     for count in (4,) if short else (4, 8, 12, 16, 24, 32):
-        made = WindSolver(measured.tagged_mesh, replace(options, basis=replace(options.basis, directions=count)))
-        basis = build(made, measured.tagged_mesh.file)
+        basis = build(measured.tagged_mesh, replace(options, basis=replace(options.basis, directions=count)))
         flow, found = ReducedFlow(basis), []
         for direction, wanted in zip(unseen, full, strict=True):
             wind = flow.solve(reynolds, direction)

@@ -8,9 +8,10 @@ import numpy as np
 
 from benchmarks import Measurement, benchmark
 from benchmarks.wind import UNSEEN, case, draws, timed
-from dafw.plugins.models.dispersion.mesh import TaggedMesh
-from dafw.plugins.models.dispersion.transport import Transport, TransportOptions
-from dafw.plugins.models.dispersion.transport_system import TransportSystem
+from dafw.plugins.models.dispersion.mesh.tagged import TaggedMesh
+from dafw.plugins.models.dispersion.transport.options import TransportOptions
+from dafw.plugins.models.dispersion.transport.system import TransportSystem
+from dafw.plugins.models.dispersion.transport.transport import Transport
 
 
 @benchmark("ad.step_over_scratch")
@@ -20,7 +21,7 @@ def step_over_scratch(short: bool) -> Measurement:
     That is how often a member of the recorded run had a new one: 250 times in 1000 steps. A new wind counts with the
     sum of its matrix and with its preconditioner; solving for it is no part of a step, on neither side.
     """
-    from dafw.plugins.models.dispersion.reduced_advection import ReducedAdvection
+    from dafw.plugins.models.dispersion.reduced_wind.advection import ReducedAdvection
 
     measured = case(short)
     transport = Transport(measured.tagged_mesh, TransportOptions(tolerance=1e-10), 1.0)
@@ -56,13 +57,13 @@ def step_over_scratch(short: bool) -> Measurement:
 @benchmark("ad.two_precisions")
 def two_precisions(short: bool) -> Measurement:
     """What the single precision of small modes changes in a step of two clouds, of the largest concentration."""
-    from dafw.plugins.models.dispersion.reduced_advection import ReducedAdvection
+    from dafw.plugins.models.dispersion.reduced_wind.advection import ReducedAdvection
 
     measured = case(short)
     transport = Transport(measured.tagged_mesh, TransportOptions(tolerance=1e-13), 1.0)
     quick = ReducedAdvection(transport, measured.reduced)
     exact = ReducedAdvection(transport, measured.reduced, accepted=0.0)
-    distances = ((transport.places - transport.places.mean(axis=0)) ** 2).sum(axis=1)
+    distances = ((transport.matrices.places - transport.matrices.places.mean(axis=0)) ** 2).sum(axis=1)
     clouds = [np.exp(-(distances - distances.min()) / (2.0 * radius**2)) for radius in (10.0, 60.0)]
     system, differences = None, []
     for intensity, direction in draws(4 if short else UNSEEN, measured.options.basis.max_intensity):
@@ -88,16 +89,16 @@ class FromScratch:
         import ufl
         from dolfinx import fem
 
-        self._transport, mesh = transport, tagged_mesh.mesh
+        self._options, mesh = transport.matrices.options, tagged_mesh.mesh
         space = fem.functionspace(mesh, ("Lagrange", 1))
         self.coordinates = space.tabulate_dof_coordinates()[:, :2]
         self._wind = fem.Function(fem.functionspace(mesh, ("Lagrange", 2, (2,))))
         self._before = fem.Function(space)
-        c, v, dt = ufl.TrialFunction(space), ufl.TestFunction(space), transport.dt
-        left = c * v / dt + transport.options.diffusion * ufl.inner(ufl.grad(c), ufl.grad(v))
+        c, v, dt = ufl.TrialFunction(space), ufl.TestFunction(space), transport.matrices.dt
+        left = c * v / dt + transport.matrices.options.diffusion * ufl.inner(ufl.grad(c), ufl.grad(v))
         self._left = fem.form((left + ufl.dot(self._wind, ufl.grad(c)) * v) * ufl.dx)
         self._right = fem.form(self._before / dt * v * ufl.dx)
-        self._boundary = fem.dirichletbc(0.0, transport.outer, space)
+        self._boundary = fem.dirichletbc(0.0, transport.matrices.outer, space)
 
     def step(self, velocity: Any, concentration: np.ndarray) -> np.ndarray:
         """Return the concentration (nodes,) a step later in a wind that is a DOLFINx function in m/s."""
@@ -115,7 +116,7 @@ class FromScratch:
         solver.setOperators(matrix)
         solver.setType("bcgs")
         solver.getPC().setType("ilu")
-        solver.setTolerances(rtol=self._transport.options.tolerance, max_it=self._transport.options.max_iterations)
+        solver.setTolerances(rtol=self._options.tolerance, max_it=self._options.max_iterations)
         after = fem.Function(self._before.function_space)
         solver.solve(right, after.x.petsc_vec)
         return np.asarray(after.x.array).copy()

@@ -22,9 +22,14 @@ from typing import Any
 import numpy as np
 
 from benchmarks import Measurement, benchmark
-from dafw.plugins.models.dispersion.mesh import MeshOptions, TaggedMesh, generate, load
-from dafw.plugins.models.dispersion.site import SiteOptions, load_site
-from dafw.plugins.models.dispersion.wind import BasisOptions, WindOptions, WindSolver
+from dafw.plugins.models.dispersion.mesh.generate import generate
+from dafw.plugins.models.dispersion.mesh.load import load
+from dafw.plugins.models.dispersion.mesh.options import MeshOptions
+from dafw.plugins.models.dispersion.mesh.tagged import TaggedMesh
+from dafw.plugins.models.dispersion.site.options import SiteOptions
+from dafw.plugins.models.dispersion.site.site import load_site
+from dafw.plugins.models.dispersion.wind.options import BasisOptions, WindOptions
+from dafw.plugins.models.dispersion.wind.solver import WindSolver
 from dafw.plugins.models.dispersion.wind_solvers import wind_solver
 
 PAPER = MeshOptions(wall_size=5.5, far_size=14.0, transition=120.0)
@@ -195,7 +200,7 @@ class Errors:
 @lru_cache
 def errors(short: bool) -> tuple[Errors, Errors]:
     """Return the errors of the solver, which takes as many modes as it needs, and those of all modes."""
-    from dafw.plugins.models.dispersion.velocity_space import VelocitySpace
+    from dafw.plugins.models.dispersion.reduced_wind.velocity_space import VelocitySpace
 
     measured = case(short)
     problem, flow = measured.newton.problem, measured.reduced.flow

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -25,18 +25,23 @@ from dafw.core.options import option
 from dafw.core.rng import MemberStreams
 from dafw.core.sharing import Shared, shared
 from dafw.core.space import ANGLE, NONNEGATIVE, Array, StateSpace, Variable
-from dafw.plugins.models.dispersion.first_guess import draw_direction, draw_speed
-from dafw.plugins.models.dispersion.mesh import TaggedMesh, generate, load, topology
-from dafw.plugins.models.dispersion.mesh_options import MeshOptions
-from dafw.plugins.models.dispersion.partition import Partition, Undivided, nearest
-from dafw.plugins.models.dispersion.site import Site, SiteOptions, load_site
-from dafw.plugins.models.dispersion.transport import Transport, TransportOptions
-from dafw.plugins.models.dispersion.transport_system import TransportSystem
+from dafw.plugins.models.dispersion.mesh.options import MeshOptions
+from dafw.plugins.models.dispersion.mesh.partition import Partition, Undivided
+from dafw.plugins.models.dispersion.mesh.tagged import TaggedMesh
+from dafw.plugins.models.dispersion.site.options import SiteOptions
+from dafw.plugins.models.dispersion.transport.options import TransportOptions
+
+if TYPE_CHECKING:
+    from dafw.plugins.models.dispersion.site.site import Site
+    from dafw.plugins.models.dispersion.transport.system import TransportSystem
+    from dafw.plugins.models.dispersion.transport.transport import Transport
 
 
 @lru_cache(maxsize=4)
 def _loaded(path: Path, communicator: int | None = None) -> TaggedMesh:
     """The truth, the free run and the belief share one mesh; ``communicator``: the handle of one to partition it."""
+    from dafw.plugins.models.dispersion.mesh.load import load
+
     if communicator is None:
         return load(path)
     from mpi4py import MPI
@@ -65,7 +70,7 @@ class AdvectionDiffusion(Model):
     noise: float = option(0.0, "standard deviation of the noise before a step, as a share of the value", minimum=0.0)
     cutoff: float = option(1e-6, "concentrations up to this are set to zero before a step, where there is noise")
 
-    _systems: dict[int, tuple[Array, TransportSystem]] = field(default_factory=dict, init=False, repr=False)
+    _systems: dict[int, tuple[Array, Any]] = field(default_factory=dict, init=False, repr=False)
     _shared: Shared = field(default_factory=shared, init=False, repr=False, compare=False)
     _communicator: Any = field(default=None, init=False, repr=False)
 
@@ -90,6 +95,8 @@ class AdvectionDiffusion(Model):
     @cached_property
     def place(self) -> Site:
         """The site; raises SiteError."""
+        from dafw.plugins.models.dispersion.site.site import load_site
+
         return self._shared.once(("site", repr(self.site)), lambda: load_site(self.site))
 
     @cached_property
@@ -104,6 +111,8 @@ class AdvectionDiffusion(Model):
     @cached_property
     def tagged_mesh(self) -> TaggedMesh:
         """The mesh of the ground, from the cache where it was made before."""
+        from dafw.plugins.models.dispersion.mesh.generate import generate
+
         return _loaded(generate(self.ground, self.mesh))
 
     @cached_property
@@ -118,10 +127,14 @@ class AdvectionDiffusion(Model):
         nodes = self._topology[0]
         if self._communicator is None:
             return Undivided(len(nodes))
-        return Partition(nearest(nodes, self._transport.places), self._communicator)
+        from dafw.plugins.models.dispersion.fem.numbering import nearest
+
+        return Partition(nearest(nodes, self._transport.matrices.places), self._communicator)
 
     @cached_property
     def _topology(self) -> tuple[Array, Any]:
+        from dafw.plugins.models.dispersion.mesh.load import topology
+
         mesh = self.tagged_mesh
         return self._shared.once(("topology", mesh), lambda: topology(mesh))
 
@@ -151,6 +164,8 @@ class AdvectionDiffusion(Model):
 
     @cached_property
     def _transport(self) -> Transport:
+        from dafw.plugins.models.dispersion.transport.transport import Transport
+
         return Transport(self.part_mesh, self.transport, self.dt)
 
     def notes(self) -> list[str]:
@@ -161,6 +176,8 @@ class AdvectionDiffusion(Model):
 
     def initial(self, n_members: int, rng: MemberStreams) -> Array:
         """Return the released bell, the same in all members, with winds drawn from the first guess."""
+        from dafw.plugins.models.dispersion.first_guess import draw_direction, draw_speed
+
         nodes = self._topology[0]
         bell = np.exp(-((nodes - self.release) ** 2).sum(axis=1) / (2.0 * self.release_radius**2))
 
@@ -184,8 +201,8 @@ class AdvectionDiffusion(Model):
         winds, memory, diagnostics = self.winds(state["wind_speed"][:, 0], state["wind_direction"][:, 0], memory, t)
         for member, wind in enumerate(winds):
             with about_member(member):
-                part = self._system(member, wind).step(self._nodes.part(concentration[member]))
-                concentration[member] = self._nodes.whole(part)
+                part = self._system(member, wind).step(self._nodes.local(concentration[member]))
+                concentration[member] = self._nodes.gather(part)
         # Galerkin's undershoots are no gas; the state's own set decides.
         return Step(stepped, memory, diagnostics)
 

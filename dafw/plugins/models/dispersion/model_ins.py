@@ -22,15 +22,15 @@ from dafw.core.ensemble import Diagnostic, Diagnostics, Memory
 from dafw.core.errors import ConfigurationError, SolverError, about_member
 from dafw.core.options import option
 from dafw.core.space import Array
+from dafw.plugins.models.dispersion.mesh.partition import Partition, Undivided
 from dafw.plugins.models.dispersion.model import AdvectionDiffusion
-from dafw.plugins.models.dispersion.partition import Partition, Undivided
-from dafw.plugins.models.dispersion.site import Site
-from dafw.plugins.models.dispersion.transport_system import TransportSystem
-from dafw.plugins.models.dispersion.wind import WindOptions, WindSolver, require_uniform
-from dafw.plugins.models.dispersion.wind_solvers import not_partitioned, wind_solver
+from dafw.plugins.models.dispersion.wind.options import WindOptions, require_one_process, require_uniform
 
 if TYPE_CHECKING:
-    from dafw.plugins.models.dispersion.reduced_advection import ReducedAdvection
+    from dafw.plugins.models.dispersion.reduced_wind.advection import ReducedAdvection
+    from dafw.plugins.models.dispersion.site.site import Site
+    from dafw.plugins.models.dispersion.transport.system import TransportSystem
+    from dafw.plugins.models.dispersion.wind.solver import WindSolver
 
 
 @dataclass
@@ -58,19 +58,23 @@ class AdvectionDiffusionINS(AdvectionDiffusion):
     @cached_property
     def solver(self) -> WindSolver:
         """The wind solver on this mesh, one for all models of a run whose options are the same."""
+        from dafw.plugins.models.dispersion.wind_solvers import wind_solver
+
         name = ("wind solver", self.part_mesh, repr(self.wind))
         return self._shared.once(name, lambda: wind_solver(self.part_mesh, self.wind))
 
     def share(self, communicator: Any) -> None:
         """Have the ranks of an MPI communicator share the mesh; raises ConfigurationError where the solver cannot."""
-        if self.wind.solver != "newton":
-            raise ConfigurationError(f"{self.label}: {not_partitioned(self.wind.solver)}")
+        try:
+            require_one_process(self.wind)
+        except ConfigurationError as error:
+            raise ConfigurationError(f"{self.label}: {error}") from error
         super().share(communicator)
 
     def require_available(self) -> None:
         """Raise ConfigurationError where the reduced basis that is asked for by its digest cannot be had."""
         if self.wind.solver != "newton":
-            from dafw.plugins.models.dispersion.basis_cache import require_basis
+            from dafw.plugins.models.dispersion.reduced_wind.choice import require_basis
 
             name = ("basis is there", self.tagged_mesh, repr(self.wind))
             try:
@@ -83,9 +87,11 @@ class AdvectionDiffusionINS(AdvectionDiffusion):
         """From the unit winds in the memory, in the numbering of the whole mesh, to those of the solver."""
         if self._communicator is None:
             return Undivided(self.solver.unknowns)
-        from dafw.plugins.models.dispersion.taylor_hood import MixedSpace
+        from dafw.plugins.models.dispersion.fem.mixed_space import MixedSpace
+        from dafw.plugins.models.dispersion.fem.numbering import places_of
 
-        return Partition(self.solver.problem.places_in(MixedSpace(self.tagged_mesh.mesh)), self._communicator)
+        undivided = MixedSpace(self.tagged_mesh.mesh)
+        return Partition(places_of(self.solver.problem, undivided), self._communicator)
 
     def pinned_options(self) -> Mapping[str, Any]:
         """Name the reduced basis in use, where there is one: there may be a newer one by now."""
@@ -118,7 +124,7 @@ class AdvectionDiffusionINS(AdvectionDiffusion):
         iterations = np.zeros(len(speed), dtype=np.int64)
         for member in np.flatnonzero(solved):
             first = np.isnan(memory["speed"][member])
-            start = None if first else self._unit.part(memory["unit"][member])
+            start = None if first else self._unit.local(memory["unit"][member])
             try:
                 with about_member(int(member)):
                     wind = self.solver.solve(speed[member], direction[member], start)
@@ -128,7 +134,7 @@ class AdvectionDiffusionINS(AdvectionDiffusion):
                 kept[member], solved[member] = True, False
                 continue
             iterations[member] = wind.iterations
-            memory["unit"][member] = self._unit.whole(wind.unit)
+            memory["unit"][member] = self._unit.gather(wind.unit)
             memory["speed"][member], memory["direction"][member] = speed[member], direction[member]
         diagnostics = {
             "wind_solved": Diagnostic(solved, ("member",), long_name="the wind was solved anew in this cycle"),
@@ -143,17 +149,19 @@ class AdvectionDiffusionINS(AdvectionDiffusion):
 
     def velocity(self, wind: Array) -> Any:
         """Return the solved wind of one member as a DOLFINx function in m/s."""
-        return self.solver.velocity(self._unit.part(wind[:-1]), wind[-1])
+        return self.solver.velocity(self._unit.local(wind[:-1]), wind[-1])
 
     @cached_property
     def _reduced_advection(self) -> ReducedAdvection | None:
         """Advection in winds of the reduced basis; None where winds are not reduced, or it is not linear in them."""
-        if self.wind.solver != "reduced" or self.transport.scheme != "galerkin":
-            return None
-        from dafw.plugins.models.dispersion.reduced_advection import ReducedAdvection
+        from dafw.plugins.models.dispersion.reduced_wind.advection import ReducedAdvection
+        from dafw.plugins.models.dispersion.reduced_wind.reduced import ReducedWindSolver
 
+        solver = self.solver
+        if not isinstance(solver, ReducedWindSolver) or self.transport.scheme != "galerkin":
+            return None
         name = ("reduced advection", self.tagged_mesh, repr(self.wind))  # diffusion and time step have no say in it
-        return self._shared.once(name, lambda: ReducedAdvection(self._transport, self.solver))
+        return self._shared.once(name, lambda: ReducedAdvection(self._transport, solver))
 
     def system(self, wind: Array, reuse: TransportSystem | None = None) -> TransportSystem:
         """Return the steps of the gas in the wind of one member; ``reuse`` is given up."""

@@ -9,7 +9,7 @@ import ufl
 from dolfinx import mesh as dolfinx_mesh
 from mpi4py import MPI
 
-from dafw.plugins.models.dispersion.mesh import OUTER, WALL, TaggedMesh
+from dafw.plugins.models.dispersion.mesh.tagged import OUTER, WALL, TaggedMesh
 
 
 def rectangle(columns, rows, size=(1.0, 1.0), holes=()):

@@ -12,10 +12,13 @@ import numpy as np
 from dafw.core.errors import DafwError
 from dafw.core.options import build
 from dafw.core.rng import Streams
-from dafw.plugins.models.dispersion.mesh import generate, load
+from dafw.plugins.models.dispersion.mesh.generate import generate
+from dafw.plugins.models.dispersion.mesh.load import load
 from dafw.plugins.models.dispersion.model_ins import AdvectionDiffusionINS
-from dafw.plugins.models.dispersion.transport import Transport, TransportOptions
-from dafw.plugins.models.dispersion.wind import WindOptions, WindSolver
+from dafw.plugins.models.dispersion.transport.options import TransportOptions
+from dafw.plugins.models.dispersion.transport.transport import Transport
+from dafw.plugins.models.dispersion.wind.options import WindOptions
+from dafw.plugins.models.dispersion.wind.solver import WindSolver
 from dafw.plugins.models.dispersion.wind_solvers import wind_solver
 
 TOLERANCE = 1e-11
@@ -48,13 +51,13 @@ def clouds(comm, tagged, scheme, flow):
     winds["strong"] = transport.uniform_velocity(60.0, 2.0)
     strengths = {"flow": 1, "uniform": 0, "strong": 2}  # ILU(1), ILU(0), direct
     for wind, velocity in winds.items():
-        cloud = np.exp(-((transport.places - CENTRE) ** 2).sum(axis=1) / 400.0)
+        cloud = np.exp(-((transport.matrices.places - CENTRE) ** 2).sum(axis=1) / 400.0)
         system, source = transport.system(velocity), 0.1 * cloud
         if scheme == "galerkin" and system.strength != strengths[wind]:
             raise ValueError(f"expected the strength {strengths[wind]} of the wind '{wind}', got {system.strength}")
         for _ in range(4):
             cloud = system.step(cloud, source)
-        yield wind, np.concatenate(comm.allgather(np.column_stack([transport.places, cloud])))
+        yield wind, np.concatenate(comm.allgather(np.column_stack([transport.matrices.places, cloud])))
 
 
 def forecasts(comm, options):

@@ -6,10 +6,10 @@ import pytest
 from dafw import ConfigurationError, SolverError
 from dafw.core.options import build
 from dafw.core.rng import Streams
-from dafw.plugins.models.dispersion import transport
 from dafw.plugins.models.dispersion.model import AdvectionDiffusion
 from dafw.plugins.models.dispersion.model_ins import AdvectionDiffusionINS
-from dafw.plugins.models.dispersion.wind import WindError
+from dafw.plugins.models.dispersion.transport import transport
+from dafw.plugins.models.dispersion.wind.solution import WindError
 
 STREAMS = Streams(4)
 

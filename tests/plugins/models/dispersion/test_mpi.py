@@ -25,12 +25,15 @@ from dafw.commands import main
 from dafw.core.errors import ConfigurationError
 from dafw.core.experiment import study_from
 from dafw.core.options import build
-from dafw.plugins.models.dispersion import model as module
-from dafw.plugins.models.dispersion.mesh import generate, load
+from dafw.plugins.models.dispersion.fem.taylor_hood import TaylorHood
+from dafw.plugins.models.dispersion.mesh import generate as module
+from dafw.plugins.models.dispersion.mesh.generate import generate
+from dafw.plugins.models.dispersion.mesh.load import load
 from dafw.plugins.models.dispersion.model_ins import AdvectionDiffusionINS
-from dafw.plugins.models.dispersion.taylor_hood import TaylorHood
-from dafw.plugins.models.dispersion.transport import Transport, TransportOptions
-from dafw.plugins.models.dispersion.wind import WindOptions, WindSolver
+from dafw.plugins.models.dispersion.transport.options import TransportOptions
+from dafw.plugins.models.dispersion.transport.transport import Transport
+from dafw.plugins.models.dispersion.wind.options import WindOptions
+from dafw.plugins.models.dispersion.wind.solver import WindSolver
 
 HERE = Path(__file__).parent
 AGREED = 1e-9
@@ -141,7 +144,7 @@ def test_a_communicator_of_one_rank_changes_no_bit(mesh_file):
         solver = WindSolver(tagged, WindOptions(viscosity=10.0))
         wind = solver.solve(4.0, 1.0)
         transport = Transport(tagged, TransportOptions(), 1.0)
-        return wind.unit, transport.system(solver.velocity(wind)).step(np.ones(transport.nodes))
+        return wind.unit, transport.system(solver.velocity(wind)).step(np.ones(transport.matrices.nodes))
 
     for one, other in zip(found(load(mesh_file)), found(load(mesh_file, MPI.COMM_WORLD)), strict=True):
         np.testing.assert_array_equal(one, other)
@@ -219,14 +222,14 @@ TROUBLE = """\
 import os, sys
 import dafw.commands.mpirun
 from dafw.commands import main
-from dafw.plugins.models.dispersion.newton import Newton
+from dafw.plugins.models.dispersion.fem.factorisation import Factorisation
 
 def fail(self, *arguments):
     raise MemoryError("no room")
 
 dafw.commands.mpirun.PATIENCE = 0.5
 if os.environ["PMI_RANK"] == "1":
-    Newton.factorise = fail
+    Factorisation.factorise = fail
 sys.exit(main(sys.argv[1:]))
 """
 

@@ -1,0 +1,94 @@
+"""The wind in the reduced basis, or from the full equations if its estimated error is too large.
+
+A wind travels with a member as a short vector: n coefficients and a mark. If the mark says that the basis is not
+accurate enough, the wind is that of the accelerated solver, which gives the same bits for the same intensity and
+direction in any process. Such full winds are kept in the process to save time, and left on disk for the next basis.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from typing import Any
+
+import numpy as np
+
+from dafw.core.errors import ContractError
+from dafw.plugins.models.dispersion.mesh.tagged import TaggedMesh
+from dafw.plugins.models.dispersion.reduced_wind.accelerated import AcceleratedWindSolver
+from dafw.plugins.models.dispersion.reduced_wind.store import StoredBasis
+from dafw.plugins.models.dispersion.wind.options import WindOptions
+from dafw.plugins.models.dispersion.wind.solution import WindSolution
+
+# isort: split
+from dolfinx import fem
+
+KEPT = 32
+"""Full winds that are kept in the process."""
+
+
+class ReducedWindSolver(AcceleratedWindSolver):
+    """Solves in the reduced basis. A result depends only on intensity, direction and the basis; a start is ignored.
+
+    The ``unit`` (n + 1,) of a solution holds the n coefficients, cos d and sin d first, and then the mark: 1 if the
+    basis is accurate enough, 0 if not. With mark 1 the ``residual`` of a solution is its estimated relative L2 error.
+    """
+
+    def __init__(self, tagged_mesh: TaggedMesh, options: WindOptions, stored: StoredBasis):
+        """Prepare the solver; the arguments are those of ``AcceleratedWindSolver``."""
+        super().__init__(tagged_mesh, options, stored)
+        self._full: OrderedDict[bytes, WindSolution] = OrderedDict()
+
+    @property
+    def unknowns(self) -> int:
+        """The length n + 1 of the vector that travels with a member."""
+        return self.flow.basis.velocities.shape[1] + 1
+
+    def _solve(self, intensity: float, direction: float, start: np.ndarray | None) -> WindSolution:
+        reynolds = self.reynolds(intensity)
+        reduced = self.flow.solve(reynolds, direction, self.options.basis.tolerance)
+        trusted = reduced.error <= self.options.basis.tolerance
+        coefficients = reduced.coefficients
+        if not trusted:  # those of a failed solve may not be finite; the first two still say the direction
+            coefficients = np.zeros(self.unknowns - 1)
+            coefficients[:2] = np.cos(direction), np.sin(direction)
+        unit = np.append(coefficients, float(trusted))
+        if trusted:
+            return WindSolution(unit, intensity, direction, 0, reduced.error)
+        found = self._full_wind(unit, intensity)
+        return WindSolution(unit, intensity, direction, found.iterations, found.residual)
+
+    def _full_wind(self, unit: np.ndarray, intensity: float) -> WindSolution:
+        """Return the wind from the full equations for a unit wind (n + 1,) of mark 0 and an intensity in m/s."""
+        name = np.append(unit[:2], intensity).tobytes()
+        if name not in self._full:
+            direction = float(np.arctan2(unit[1], unit[0]))
+            found = super()._solve(intensity, direction, None)
+            self._stored.store.submit(self.reynolds(intensity), direction, self.problem.velocity(found.unit))
+            self._full[name] = found
+            if len(self._full) > KEPT:
+                self._full.popitem(last=False)
+        return self._full[name]
+
+    def trusts(self, unit: np.ndarray) -> bool:
+        """Say whether a unit wind (n + 1,) is one of the reduced basis: whether its mark is 1."""
+        return bool(unit[-1] == 1.0)
+
+    def velocity(self, wind: WindSolution | np.ndarray, intensity: float | None = None) -> Any:
+        """Return the wind in m/s as a new DOLFINx function in the P2 vector space.
+
+        It is solved again from the full equations if its mark is 0 and it is no longer kept.
+
+        Args:
+            wind: a solution, or a unit wind (n + 1,).
+            intensity: in m/s; required with a unit wind.
+        """
+        if isinstance(wind, WindSolution):
+            intensity = wind.intensity if intensity is None else intensity
+            wind = wind.unit
+        if intensity is None:
+            raise ContractError("wind: expected the intensity that goes with a unit wind, got none")
+        if not self.trusts(wind):
+            return super().velocity(self._full_wind(wind, intensity).unit, intensity)
+        function = fem.Function(self.problem.velocity_space)
+        function.x.array[:] = self.flow.basis.velocities @ (intensity * wind[:-1])
+        return function

@@ -1,0 +1,1 @@
+"""The transport of the gas by a given wind: advection and diffusion."""

@@ -1,0 +1,64 @@
+"""The matrices of the transport that do not depend on the wind, and the unknowns on the outer boundary."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from dafw.plugins.models.dispersion.fem.sparsity import Sparsity
+from dafw.plugins.models.dispersion.mesh.tagged import OUTER, TaggedMesh
+from dafw.plugins.models.dispersion.transport.options import TransportOptions
+
+# isort: split
+import ufl
+from dolfinx import fem
+
+
+class TransportMatrices:
+    """Mass and stiffness of P1 elements on one mesh, combined for a step of backward Euler.
+
+    On a mesh that is divided among several ranks, arrays hold the nodes that the rank owns. All P1 matrices of the mesh
+    have the same sparsity pattern, so that they add up entry by entry.
+
+    Attributes:
+        options: the options of the transport.
+        dt: time step in s.
+        space: the DOLFINx space.
+        sparsity: the sparsity pattern of all matrices; z is its number of entries.
+        nodes: number of the nodes.
+        places: (nodes, 2) where they are, in m.
+        outer: indices of the nodes on the outer boundary, where the concentration is zero.
+        row_starts: (nodes,) index of the first entry of every row.
+        diagonal: (nodes,) index of the diagonal entry of every row.
+        fixed_entries: indices of the entries in rows and columns of outer nodes.
+        fixed_diagonal: indices of the diagonal entries of outer nodes.
+        before: the SciPy matrix that acts on the old concentration, in a step without wind.
+        calm: (z,) CSR values of the matrix that acts on the new concentration, in a step without wind.
+    """
+
+    def __init__(self, tagged_mesh: TaggedMesh, options: TransportOptions, dt: float):
+        mesh = tagged_mesh.mesh
+        self.options, self.dt = options, dt
+        self.space = fem.functionspace(mesh, ("Lagrange", 1))
+        c, v = ufl.TrialFunction(self.space), ufl.TestFunction(self.space)
+        mass = fem.form(c * v * ufl.dx)
+        stiffness = fem.form(ufl.inner(ufl.grad(c), ufl.grad(v)) * ufl.dx)
+
+        self.sparsity = Sparsity(mass)
+        self.nodes = self.sparsity.size
+        indptr, indices, rows = self.sparsity.indptr, self.sparsity.indices, self.sparsity.rows
+        self.places: np.ndarray = self.space.tabulate_dof_coordinates()[: self.nodes, : mesh.geometry.dim]
+        outer = fem.locate_dofs_topological(self.space, mesh.topology.dim - 1, tagged_mesh.facet_tags.find(OUTER))
+        self.outer = outer[outer < self.nodes]
+        fixed = np.zeros(self.nodes, dtype=bool)
+        fixed[self.outer] = True
+        self.row_starts, self.diagonal = indptr[:-1].astype(np.intp), np.flatnonzero(rows == indices)
+        self.fixed_entries = np.flatnonzero(fixed[rows] | self.sparsity.with_ghosts(fixed)[indices])
+        self.fixed_diagonal = self.diagonal[self.outer]
+        self.before = self.sparsity.csr(self.assemble(mass) / dt)
+        self.calm = self.before.data + options.diffusion * self.assemble(stiffness)
+
+    def assemble(self, form: Any) -> np.ndarray:
+        """Return the CSR values (z,) of a bilinear form of the space."""
+        return self.sparsity.assemble(form).copy()

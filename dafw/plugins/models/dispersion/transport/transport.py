@@ -1,0 +1,129 @@
+"""Transport of a gas by a given wind: advection and diffusion, P1 finite elements, backward Euler.
+
+    dc/dt + w . grad c - epsilon lap c = f,    c = 0 on the outer boundary,    dc/dn = 0 on walls
+
+Gioia et al. 2024, equations (AD) and (W-AD), doi:10.1109/SDF63218.2024.10773899; docs/physics.md.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from dafw.plugins.models.dispersion.mesh.tagged import TaggedMesh
+from dafw.plugins.models.dispersion.transport.matrices import TransportMatrices
+from dafw.plugins.models.dispersion.transport.options import TransportOptions
+from dafw.plugins.models.dispersion.transport.system import TransportSystem
+
+# isort: split
+import ufl
+from dolfinx import fem
+
+SYSTEMS_BYTES = 2e9
+"""About how much memory, in bytes, the systems of all members may take in one process."""
+
+BYTES_PER_ENTRY = 100
+"""Memory of one system in bytes per entry of its matrix.
+
+Measured: 40 after weak winds alone (ILU(0)), 70 to 110 after medium winds, too (ILU(1)), 100 after strong winds alone
+(LU), 160 after winds of all kinds.
+"""
+
+
+class Transport:
+    """Makes the systems of equations of a step, for any wind on one mesh.
+
+    On a mesh that is divided among several ranks all methods are collective calls, and arrays hold the nodes that the
+    rank owns.
+
+    Attributes:
+        matrices: what does not depend on the wind.
+    """
+
+    def __init__(self, tagged_mesh: TaggedMesh, options: TransportOptions, dt: float):
+        """Assemble what does not depend on the wind.
+
+        Args:
+            tagged_mesh: the mesh.
+            options: the options of the transport.
+            dt: time step in s.
+        """
+        mesh = tagged_mesh.mesh
+        self.matrices = TransportMatrices(tagged_mesh, options, dt)
+        velocity_space = fem.functionspace(mesh, ("Lagrange", 2, (mesh.geometry.dim,)))
+        self._velocity = w = fem.Function(velocity_space)
+
+        c, v = ufl.TrialFunction(self.matrices.space), ufl.TestFunction(self.matrices.space)
+        advected = ufl.dot(w, ufl.grad(c))
+        self._advection, self._advected_mass = fem.form(advected * v * ufl.dx), None
+        if options.scheme == "supg":
+            weight = self._intrinsic_time(mesh) * ufl.dot(w, ufl.grad(v))
+            # Degree 4 integrates the products exactly; the intrinsic time is not a polynomial.
+            measure = ufl.dx(metadata={"quadrature_degree": 4})
+            self._advection = fem.form(advected * v * ufl.dx + advected * weight * measure)
+            self._advected_mass = fem.form(c * weight * measure)
+
+    @property
+    def systems_kept(self) -> int:
+        """For how many members a process keeps a system; the other members share one."""
+        return max(1, int(SYSTEMS_BYTES / (BYTES_PER_ENTRY * self.matrices.sparsity.indices.size)))
+
+    def _intrinsic_time(self, mesh: Any) -> Any:
+        """Return the time scale of SUPG; Shakib et al. 1991, doi:10.1016/0045-7825(91)90041-4, with element metric."""
+        # The metric G has the unit 1/m^2: for a unit vector a and an element of length h, a . G a is about 1 / h^2.
+        inverse = ufl.JacobianInverse(mesh)
+        metric = ufl.dot(inverse.T, inverse)
+        along = ufl.dot(self._velocity, ufl.dot(metric, self._velocity))
+        across = self.matrices.options.diffusion**2 * ufl.inner(metric, metric)
+        return 1.0 / ufl.sqrt((2.0 / self.matrices.dt) ** 2 + 4.0 * along + 72.0 * across)
+
+    def uniform_velocity(self, intensity: float, direction: float) -> Any:
+        """Return a wind that is the same everywhere, as a DOLFINx function in m/s.
+
+        Args:
+            intensity: in m/s.
+            direction: towards which the air moves, in radians.
+        """
+        function = fem.Function(self._velocity.function_space)
+        function.x.array.reshape(-1, 2)[:] = intensity * np.array([np.cos(direction), np.sin(direction)])
+        return function
+
+    def system(self, velocity: Any, reuse: TransportSystem | None = None) -> TransportSystem:
+        """Return the system of a step in one wind.
+
+        Args:
+            velocity: the wind in m/s, a DOLFINx vector function of the mesh, P2 or of lower degree.
+            reuse: a system of this transport that is no longer needed. It is overwritten and returned, which takes
+                half the time of making a new one.
+        """
+        advection = self.advection(velocity)
+        if self._advected_mass is None:
+            return self.system_of(advection, reuse)
+        matrices = self.matrices
+        advected_mass = matrices.assemble(self._advected_mass) / matrices.dt
+        before = matrices.sparsity.csr(matrices.before.data + advected_mass)
+        return self._system(advection + advected_mass, before, reuse)
+
+    def system_of(self, advection: np.ndarray, reuse: TransportSystem | None = None) -> TransportSystem:
+        """Return the system of a step in one wind, for Galerkin's scheme.
+
+        Args:
+            advection: (z,) CSR values of the advection matrix of the wind.
+            reuse: as for ``system``.
+        """
+        return self._system(advection, self.matrices.before, reuse)
+
+    def advection(self, velocity: Any) -> np.ndarray:
+        """Return the CSR values (z,) of the advection matrix of a wind; ``velocity`` is as for ``system``.
+
+        In Galerkin's scheme it is linear in the wind: the matrix of a sum of winds is the sum of their matrices.
+        """
+        self._velocity.interpolate(velocity)
+        self._velocity.x.scatter_forward()
+        return self.matrices.assemble(self._advection)
+
+    def _system(self, added: np.ndarray, before: Any, reuse: TransportSystem | None) -> TransportSystem:
+        system = reuse or TransportSystem(self.matrices)
+        system.change(added, before)
+        return system

@@ -1,0 +1,1 @@
+"""The steady wind around buildings, from the full Navier-Stokes equations."""

@@ -1,0 +1,76 @@
+"""The options of the wind and of its reduced basis."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from dafw.core.errors import ConfigurationError
+from dafw.core.options import option
+
+
+@dataclass
+class BasisOptions:
+    """Options of the reduced basis: which winds are solved for it, and how far it is trusted."""
+
+    directions: int = option(32, "directions all round of the winds it is made from", minimum=4)
+    levels: int = option(5, "intensities in each direction, denser towards calm", minimum=1)
+    max_intensity: float = option(12.0, "m/s; the strongest wind it is made from", above=0.0)
+    modes: int = option(160, "modes kept; an enriched basis has more", minimum=1)
+    tolerance: float = option(
+        0.01,
+        "estimated relative L2 error of the velocity above which the full equations are solved",
+        above=0.0,
+        maximum=1.0,
+    )
+    digest: str = option("", "the basis to use, as an earlier run recorded it; empty: the newest")
+
+
+@dataclass
+class WindOptions:
+    """Options of the steady wind."""
+
+    viscosity: float = option(25.0, "effective (eddy) viscosity in m^2/s", above=0.0)
+    closure: str = option(
+        "constant",
+        "constant, or proportional: viscosity * intensity / reference_intensity",
+        choices=("constant", "proportional"),
+    )
+    reference_intensity: float = option(
+        5.0, "wind in m/s at which the proportional closure has the given viscosity", above=0.0
+    )
+    boundary: str = option(
+        "uniform",
+        "uniform: the wind prescribed all round; outflow: do-nothing where it leaves",
+        choices=("uniform", "outflow"),
+    )
+    tolerance: float = option(
+        1e-8, "residual norm accepted, relative to that of the boundary wind alone", above=0.0, maximum=1e-2
+    )
+    max_iterations: int = option(12, "factorisations in one Newton iteration", minimum=1)
+    max_steps: int = option(40, "Newton iterations in one continuation from Stokes flow", minimum=1)
+    solver: str = option(
+        "newton",
+        "newton; accelerated: to the same tolerance from a reduced basis; reduced: in the basis, to its tolerance",
+        choices=("newton", "accelerated", "reduced"),
+    )
+    keep_factorisation: bool = option(True, "newton: use a factorisation again while it serves well")
+    basis: BasisOptions = option(BasisOptions, "the reduced basis of the accelerated and the reduced solver")
+
+
+def require_uniform(options: WindOptions) -> None:
+    """Raise ConfigurationError unless the boundary suits the solver."""
+    if options.solver != "newton" and options.boundary != "uniform":
+        raise ConfigurationError(
+            f"wind: solver '{options.solver}' expects boundary 'uniform', got '{options.boundary}': there the part of "
+            "the boundary that prescribes the wind changes with the direction, and one basis does not fit all; choose "
+            "solver 'newton'"
+        )
+
+
+def require_one_process(options: WindOptions) -> None:
+    """Raise ConfigurationError unless the solver works on a mesh that is divided among several ranks."""
+    if options.solver != "newton":
+        raise ConfigurationError(
+            f"wind: solver '{options.solver}' works in one process, expected 'newton' on a mesh that is divided among "
+            "several"
+        )

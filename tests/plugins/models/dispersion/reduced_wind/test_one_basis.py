@@ -1,0 +1,121 @@
+"""One run, one basis: belief, truth and free run share it, it is named in the run's file, and gives the run again."""
+
+import json
+
+import netCDF4
+import pytest
+from run_files import contents
+from small_study import small_study
+
+from dafw.core.errors import ConfigurationError
+from dafw.core.sharing import Shared
+from dafw.plugins.models.dispersion import model_ins
+from dafw.plugins.models.dispersion.site import site
+from dafw.plugins.models.dispersion.site.site import load_site
+from dafw.studies.running import run_study
+
+BASIS = {"directions": 4, "levels": 1, "max_intensity": 3.0, "modes": 20, "tolerance": 0.02}
+
+
+@pytest.fixture
+def study(small_model, tmp_path, monkeypatch):
+    monkeypatch.setenv("DAFW_CACHE", str(tmp_path / "cache"))
+
+    def make(digest="", executor="serial", truth=None, **wind):
+        options = {"solver": "reduced", "basis": BASIS | {"digest": digest}}
+        model = small_model | {"wind": options | wind}
+        truth = {"wind_speed": 2.0, "transport": {"diffusion": 0.8}, **(truth or {})}
+        return small_study(model, truth, {"name": executor}, members=4, cycles=3)
+
+    return make
+
+
+def outside(solver):
+    """Have the solver meet a wind that its basis does not know."""
+    found = solver.solve(9.0, 0.7)
+    assert not solver.trusts(found.unit)
+
+
+def test_belief_truth_and_free_run_share_what_is_the_same(study):
+    parts, _ = study().prepare()
+    assert parts.model.solver is parts.truth.solver is parts.free.solver
+    assert parts.model._reduced_advection is parts.truth._reduced_advection
+    other, _ = study(truth={"wind": {"viscosity": 30.0}}).prepare()
+    assert other.model.solver is not other.truth.solver
+    assert other.model.solver.digest != other.truth.solver.digest
+
+
+def test_one_site_and_one_list_of_nodes_for_all(study, monkeypatch):
+    read = []
+    monkeypatch.setattr(site, "load_site", lambda options: read.append(options) or load_site(options))
+    parts, _ = study(solver="newton").prepare()
+    assert len(read) == 1
+    assert parts.model.space.variables[0].coordinates is parts.free.space.variables[0].coordinates
+    finer = {"mesh": {"wall_size": 9.0}}
+    seen = study(truth=finer, solver="newton").prepare()[0].truth_view  # the same site, another mesh
+    assert len(read) == 2 and seen.matrix.shape[1] > seen.matrix.shape[0]
+    study(truth={"site": {"rim": 21.0}}, solver="newton").prepare()
+    assert len(read) == 4
+
+
+def test_a_run_has_one_basis_and_the_next_the_newest(study):
+    first, _ = study().prepare()
+    outside(first.model.solver)
+    second, _ = study().prepare()  # in the same process, the first still there
+    assert second.model.solver.digest != first.model.solver.digest  # which has taken the wind in meanwhile,
+    assert first.truth.solver.digest == first.model.solver.digest  # before the first run's truth was asked
+
+
+def test_sharing_changes_no_bit(study, tmp_path, monkeypatch):
+    summary = run_study(study(), tmp_path / "shared")
+    digest = summary["pinned"]["model"]["wind"]["basis"]["digest"]
+    with monkeypatch.context() as patch:
+        apart = property(lambda self: Shared(), lambda *_: None)
+        patch.setattr(model_ins.AdvectionDiffusionINS, "_shared", apart, raising=False)
+        parts, _ = study(digest).prepare()
+        assert parts.model.solver is not parts.truth.solver
+        run_study(study(digest), tmp_path / "apart")
+    assert contents(tmp_path / "shared") == contents(tmp_path / "apart")
+
+
+@pytest.mark.parametrize("executor", ["serial", "processes"])
+def test_the_digest_in_the_file_gives_the_run_again(study, tmp_path, executor):
+    summary = run_study(study(executor=executor), tmp_path / "first")
+    with netCDF4.Dataset(tmp_path / "first" / "run.nc") as file:
+        pinned = {role: json.loads(file.getncattr(f"{role}_pinned")) for role in ("model", "truth", "free")}
+    assert summary["pinned"] == pinned
+    assert json.loads((tmp_path / "first" / "summary.json").read_text())["pinned"] == pinned
+    digest = pinned["model"]["wind"]["basis"]["digest"]
+    assert pinned["truth"] == pinned["free"] == {"wind": {"basis": {"digest": digest}}}
+    newer = run_study(study(), tmp_path / "newer")  # winds of the first run are in the basis of this one
+    assert newer["pinned"]["model"] != pinned["model"]
+    assert contents(tmp_path / "newer") != contents(tmp_path / "first")
+    run_study(study(digest), tmp_path / "again")
+    assert contents(tmp_path / "again") == contents(tmp_path / "first")
+
+
+@pytest.mark.parametrize("role", ["model", "truth"])
+def test_a_basis_that_is_not_there_is_refused_before_anything_is_made(study, tmp_path, role):
+    absent = "0" * 32
+    asked = study(absent) if role == "model" else study(truth={"wind": {"basis": {"digest": absent}}})
+    whose = "" if role == "model" else "truth: "
+    with pytest.raises(ConfigurationError, match=f"^{whose}model 'ad_ins': wind: the reduced basis {absent} is not in"):
+        run_study(asked, tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_damaged_basis_is_refused_before_anything_is_made(study, tmp_path):
+    parts, _ = study().prepare()
+    digest = parts.model.solver.digest
+    (file,) = (tmp_path / "cache").glob(f"*/{digest}.npz")
+    file.write_bytes(file.read_bytes()[:-1])
+    with pytest.raises(ConfigurationError, match="is damaged; delete it"):
+        run_study(study(digest), tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_model_that_leaves_nothing_open_has_nothing_pinned(study, tmp_path):
+    plain = study(solver="newton")
+    assert run_study(plain, tmp_path / "plain")["pinned"] == {}
+    with netCDF4.Dataset(tmp_path / "plain" / "run.nc") as file:
+        assert not [name for name in file.ncattrs() if name.endswith("_pinned")]

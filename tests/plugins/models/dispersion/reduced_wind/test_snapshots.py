@@ -1,0 +1,153 @@
+"""The winds of a basis: the same bits however many processes solve them, and what becomes of those without solution."""
+
+import json
+import logging
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dafw.core import workers
+from dafw.core.options import build as built
+from dafw.plugins.models.dispersion.model_ins import AdvectionDiffusionINS
+from dafw.plugins.models.dispersion.reduced_wind import snapshots as module
+from dafw.plugins.models.dispersion.reduced_wind.choice import build
+from dafw.plugins.models.dispersion.reduced_wind.snapshots import row, snapshots
+from dafw.plugins.models.dispersion.wind.options import BasisOptions, WindOptions
+from dafw.plugins.models.dispersion.wind.solution import WindError
+from dafw.plugins.models.dispersion.wind.solver import WindSolver
+
+BASIS = BasisOptions(directions=5, levels=2, max_intensity=4.0, modes=20)
+
+
+@pytest.fixture(scope="module")
+def mesh(small_model):
+    return built(AdvectionDiffusionINS, small_model, "model 'test'").tagged_mesh
+
+
+def with_cores(monkeypatch, count):
+    monkeypatch.setattr(workers, "cores", lambda: count)
+    monkeypatch.setattr(module, "SMALL", 0)
+
+
+@pytest.mark.parametrize("levels", [1, 2])
+def test_a_derivative_reaches_half_way_to_the_next_wind(mesh, levels):
+    basis = BasisOptions(directions=4, levels=levels, max_intensity=4.0)
+    solver = WindSolver(mesh, WindOptions(basis=basis, keep_factorisation=False))  # a kept one is of an earlier step
+    found = row(solver, 0.3)
+    by_reynolds = found.derivatives[:, -2]  # at the strongest wind
+    step = 1e-3
+    weaker, stronger = (solver.problem.velocity(solver.solve(4.0 * (1 + s), 0.3).unit) for s in (-step, step))
+    expected = (stronger - weaker) / (2 * step) / levels  # R d/dR, times the share of R that lies half a cell away
+    assert np.linalg.norm(by_reynolds - expected) < 1e-4 * np.linalg.norm(expected)
+
+
+def test_where_there_is_one_reynolds_number_nothing_lies_beyond_it(mesh):
+    options = WindOptions(closure="proportional", basis=BasisOptions(directions=4, levels=3))
+    found = row(WindSolver(mesh, options), 0.3)
+    assert found.derivatives.shape[1] == 2
+    assert not found.derivatives[:, 0].any() and found.derivatives[:, 1].any()
+
+
+def test_little_work_is_done_here(mesh, caplog):
+    caplog.set_level(logging.INFO, "dafw")
+    snapshots(WindSolver(mesh, WindOptions(basis=BasisOptions(directions=4, levels=1, max_intensity=1.0))), mesh.file)
+    assert "solving 4 winds, processes: 1" in caplog.text
+
+
+def test_a_basis_is_the_same_bits_however_many_processes_solved_its_winds(mesh, monkeypatch, caplog):
+    caplog.set_level(logging.INFO, "dafw")
+    bases = []
+    for count in (1, 2, 7):
+        with_cores(monkeypatch, count)
+        bases.append(build(mesh, WindOptions(basis=BASIS)))
+    assert [f"solving 10 winds, processes: {count}" in caplog.text for count in (1, 2, 5)] == [True] * 3
+    for name, array in bases[0].arrays().items():
+        for other in bases[1:]:
+            np.testing.assert_array_equal(other.arrays()[name], array)
+
+
+def test_a_worker_of_an_executor_solves_all_winds_itself(mesh, monkeypatch, caplog):
+    caplog.set_level(logging.INFO, "dafw")
+    with_cores(monkeypatch, 2)
+    few = WindOptions(basis=BasisOptions(directions=4, levels=1, max_intensity=1.0))
+    made = workers.outcome("a test", lambda: snapshots(WindSolver(mesh, few), mesh.file)).get()
+    assert made.winds.shape[1] == 4 and made.derivatives.shape[1] == 8
+    assert "solving 4 winds, processes: 1" in caplog.text
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_wind_that_cannot_be_solved_ends_its_row(mesh, monkeypatch, caplog, count):
+    caplog.set_level(logging.INFO, "dafw")
+    with_cores(monkeypatch, count)
+    weak = WindOptions(
+        viscosity=20.0,
+        max_iterations=2,
+        max_steps=1,
+        basis=BasisOptions(directions=4, levels=3, max_intensity=300.0, modes=20),
+    )
+    strong = WindOptions(
+        viscosity=1e-3, max_iterations=1, max_steps=1, basis=BasisOptions(directions=4, levels=2, modes=20)
+    )
+    found = snapshots(WindSolver(mesh, weak), mesh.file)
+    assert 0 < len(found.parameters) < 12
+    assert "no solution for intensity" in caplog.text
+    with pytest.raises(WindError, match=r"^reduced basis: none of its 8 winds can be solved"):
+        snapshots(WindSolver(mesh, strong), mesh.file)
+
+
+def children(process):
+    """Return the processes that one started and that are still there."""
+    found = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = stat.read_text().rpartition(")")[2].split()
+        except OSError:
+            continue
+        if int(fields[1]) == process and fields[0] != "Z":
+            found.append(int(stat.parent.name))
+    return found
+
+
+def is_there(process):
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+@pytest.mark.skipif(workers.cores() < 2 or not Path("/proc").is_dir(), reason="needs two cores and /proc")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+def test_a_run_that_is_stopped_while_it_makes_its_basis_leaves_no_process(tmp_path, number):
+    mesh = ["model.mesh.wall_size=40", "model.mesh.far_size=60"]
+    long = ["model.wind.solver=reduced", "model.wind.basis.directions=2000", "model.wind.basis.levels=9"]
+    words = ["run", "experiment=enie2d", *mesh, *long]
+    run = subprocess.Popen(
+        [sys.executable, "-m", "dafw", *words],
+        cwd=tmp_path,
+        env={**os.environ, "DAFW_CACHE": str(tmp_path / "cache")},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    deadline = time.monotonic() + 60.0
+    while not (helpers := children(run.pid)) and run.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert helpers
+    time.sleep(1.0)
+    run.send_signal(number)
+    _, error = run.communicate(timeout=60)
+    while any(map(is_there, helpers)) and time.monotonic() < deadline + 60.0:
+        time.sleep(0.1)
+    assert not any(map(is_there, helpers))
+    (summary,) = tmp_path.glob("outputs/*/*/summary.json")
+    assert json.loads(summary.read_text())["status"] == "interrupted"
+    if number != signal.SIGKILL:
+        assert run.returncode == 130
+        assert "interrupted" in error and "Traceback" not in error
+        assert not list((tmp_path / "cache").glob("**/making-*"))
