@@ -1,4 +1,4 @@
-"""Which reduced basis a solver uses: the one that was asked for, the newest, or one that is made now."""
+"""Which reduced basis a solver uses: the one that is asked for by its digest, the one as made, or an enriched one."""
 
 from __future__ import annotations
 
@@ -32,28 +32,50 @@ log = logging.getLogger(__name__)
 
 
 def basis_for(tagged_mesh: TaggedMesh, options: WindOptions) -> StoredBasis:
-    """Return the basis for a mesh and options; it is made if there is none.
+    """Return the basis for a mesh and options, which does not change while it is used.
 
-    Winds that wait are taken in here and nowhere else, so that a basis in use never changes. Raises ConfigurationError
-    if the basis that was asked for by its digest is not there.
+    - With ``basis.digest`` it is the basis of that name.
+    - Without ``basis.enrich`` it is the basis as it was made, and it is made if there is none. Its bits depend only on
+      the mesh and the options.
+    - With ``basis.enrich`` it is the newest enriched basis, and the winds that wait are added to it now.
+
+    Raises ConfigurationError if the basis of that name is not there, or if the cache cannot be written to.
     """
     store = _store(tagged_mesh, options)
     if wanted := options.basis.digest:
         return StoredBasis(store, wanted, store.load(wanted))
     # With one thread in every process the bits of a basis do not depend on the number of cores.
     with store.lock(), threadpool_limits(limits=1):
-        digest, basis = store.newest() or _made(tagged_mesh, options, store)
-        room = LARGEST * options.basis.modes - basis.quadratic.shape[0]
-        waiting = store.waiting(len(basis.velocities), min(room, MOST_AT_ONCE))
-        if waiting:
-            parameters = np.stack([wind.parameters for wind in waiting])
-            winds = np.stack([wind.velocity for wind in waiting], axis=1)
-            solver = WindSolver(tagged_mesh, options)
-            space = VelocitySpace(solver.problem, solver.boundary)
-            digest = store.save(basis := enrich(space, basis, parameters, winds))
-            for wind in waiting:  # only now, so that a process that is killed before loses none of them
-                wind.path.unlink(missing_ok=True)
+        found = (store.find("enriched") if options.basis.enrich else None) or store.find("made")
+        digest, basis = found or _made(tagged_mesh, options, store)
+        if options.basis.enrich:
+            digest, basis = _enriched(tagged_mesh, options, store, digest, basis)
     return StoredBasis(store, digest, basis)
+
+
+def _made(tagged_mesh: TaggedMesh, options: WindOptions, store: BasisStore) -> tuple[str, ReducedBasis]:
+    """Make a basis and save it."""
+    basis = build(tagged_mesh, options)
+    return store.save(basis, "made"), basis
+
+
+def _enriched(
+    tagged_mesh: TaggedMesh, options: WindOptions, store: BasisStore, digest: str, basis: ReducedBasis
+) -> tuple[str, ReducedBasis]:
+    """Add the winds that wait to a basis and save it; return it as it is if none waits or it is full."""
+    room = LARGEST * options.basis.modes - basis.quadratic.shape[0]
+    waiting = store.waiting(len(basis.velocities), min(room, MOST_AT_ONCE))
+    if not waiting:
+        return digest, basis
+    solver = WindSolver(tagged_mesh, options)
+    space = VelocitySpace(solver.problem, solver.boundary)
+    parameters = np.stack([wind.parameters for wind in waiting])
+    winds = np.stack([wind.velocity for wind in waiting], axis=1)
+    richer = enrich(space, basis, parameters, winds)
+    digest = store.save(richer, "enriched")
+    for wind in waiting:  # only now, so that a process that is killed before loses none of them
+        wind.path.unlink(missing_ok=True)
+    return digest, richer
 
 
 def require_basis(tagged_mesh: TaggedMesh, options: WindOptions) -> None:
@@ -87,11 +109,6 @@ def _store(tagged_mesh: TaggedMesh, options: WindOptions) -> BasisStore:
     return BasisStore(cache_folder() / f"wind-basis-{key(tagged_mesh, options)}")
 
 
-def _made(tagged_mesh: TaggedMesh, options: WindOptions, store: BasisStore) -> tuple[str, ReducedBasis]:
-    basis = build(tagged_mesh, options)
-    return store.save(basis), basis
-
-
 def key(tagged_mesh: TaggedMesh, options: WindOptions) -> str:
     """Return the digest of everything that a basis depends on."""
     mesh, tags = tagged_mesh.mesh, tagged_mesh.facet_tags
@@ -101,7 +118,7 @@ def key(tagged_mesh: TaggedMesh, options: WindOptions) -> str:
     defining = asdict(options)
     for name in ("solver", "keep_factorisation"):
         del defining[name]
-    for name in ("digest", "tolerance"):
+    for name in ("digest", "enrich", "tolerance"):
         del defining["basis"][name]
     content.update(json.dumps({"format": FORMAT, "options": defining}, sort_keys=True).encode())
     return content.hexdigest()[:32]

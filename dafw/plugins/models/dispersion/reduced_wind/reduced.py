@@ -2,7 +2,8 @@
 
 A wind travels with a member as a short vector: n coefficients and a mark. If the mark says that the basis is not
 accurate enough, the wind is that of the accelerated solver, which gives the same bits for the same intensity and
-direction in any process. Such full winds are kept in the process to save time, and left on disk for the next basis.
+direction in any process. Such full winds are kept in the process to save time. With ``basis.enrich`` they are also
+left on disk for the next basis.
 """
 
 from __future__ import annotations
@@ -63,7 +64,8 @@ class ReducedWindSolver(AcceleratedWindSolver):
         if name not in self._full:
             direction = float(np.arctan2(unit[1], unit[0]))
             found = super()._solve(intensity, direction, None)
-            self._stored.store.submit(self.reynolds(intensity), direction, self.problem.velocity(found.unit))
+            if self.options.basis.enrich:
+                self._stored.store.submit(self.reynolds(intensity), direction, self.problem.velocity(found.unit))
             self._full[name] = found
             if len(self._full) > KEPT:
                 self._full.popitem(last=False)

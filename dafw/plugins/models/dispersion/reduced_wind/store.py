@@ -1,12 +1,13 @@
-"""Reduced bases on disk: a folder in the cache for all that defines them, shared by all processes.
+"""Reduced bases on disk: one folder in the cache for everything that defines a basis, shared by all processes.
 
-    <key>/<digest>.npz     a basis, never changed; the digest is that of its bytes
-    <key>/current          the digest of the newest
-    <key>/waiting/*.npz    winds that were solved in full and wait to be taken in
-    <key>/lock             held by whoever makes or enriches a basis
+    <key>/<digest>.npz     a basis, which never changes; its name is the digest of its bytes
+    <key>/made             the digest of the basis as it was made
+    <key>/enriched         the digest of the newest basis to which winds were added
+    <key>/waiting/*.npz    winds that were solved in full and wait to be added
+    <key>/lock             held by the process that makes or enriches a basis
 
-Everything is written beside and moved into place, so that no reader sees half a file. Where a basis is added, those go
-that are not among the newest and were not used for weeks.
+Every file is written elsewhere first and then moved into place, so that no reader sees a part of a file. When a basis
+is saved, old ones that were not used for weeks are removed.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 from zipfile import BadZipFile
 
 import numpy as np
@@ -30,22 +32,29 @@ from dafw.core.errors import ConfigurationError
 from dafw.core.making import making
 from dafw.plugins.models.dispersion.reduced_wind.basis import ReducedBasis
 
+Role = Literal["made", "enriched"]
+
 DIGEST = re.compile("[0-9a-f]{32}")
-"""What names a basis."""
 
 log = logging.getLogger(__name__)
 
 NEWEST = 3
-"""Bases that stay, however long nobody used them."""
+"""Number of the newest bases that are never removed."""
 UNUSED = 14 * 24 * 3600.0
-"""Seconds since its last use after which an older basis goes: no run lasts so long."""
+"""Seconds since its last use after which an older basis is removed; no run takes so long."""
 MOST_WAITING = 200
-"""Winds that may wait: enough for several enrichments, and a basis that is full takes in no more."""
+"""Number of winds that may wait; that is enough to enrich a basis several times."""
 
 
 @dataclass(frozen=True)
 class Waiting:
-    """A wind that waits: the file, R and d (2,), its velocity (2 v,)."""
+    """A wind that waits to be added to a basis.
+
+    Attributes:
+        path: its file.
+        parameters: (2,) unit Reynolds number in 1/m and direction in radians.
+        velocity: (2 m,) velocity of the unit wind.
+    """
 
     path: Path
     parameters: np.ndarray
@@ -60,9 +69,9 @@ class BasisStore:
 
     @contextmanager
     def lock(self) -> Iterator[None]:
-        """Hold the lock, after waiting for whoever has it; a process that dies lets go of it.
+        """Hold the lock inside the block; wait first if another process has it. A process that dies releases it.
 
-        Raises ConfigurationError where the cache cannot be written to.
+        Raises ConfigurationError if the cache cannot be written to.
         """
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
@@ -73,12 +82,12 @@ class BasisStore:
             try:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
-                log.info("reduced basis: waiting for another process that is at work on it")
+                log.info("reduced basis: waiting for another process, which makes or enriches it")
                 fcntl.flock(file, fcntl.LOCK_EX)
             yield
 
     def content(self, digest: str) -> bytes:
-        """Return a basis by name, as it lies on disk; raises ConfigurationError where it is missing or damaged."""
+        """Return the bytes of the basis with a digest; raises ConfigurationError if it is missing or damaged."""
         path, cache = self.folder / f"{digest}.npz", self.folder.parent
         try:
             content = path.read_bytes() if DIGEST.fullmatch(digest) else None
@@ -90,25 +99,28 @@ class BasisStore:
             others = DIGEST.fullmatch(digest) and any(cache.glob(f"*/{digest}.npz"))
             what = "is one of another mesh or of other wind options in" if others else "is not in"
             raise ConfigurationError(
-                f"wind: the reduced basis {digest} {what} the cache {cache}; leave basis.digest empty for the newest"
+                f"wind: the reduced basis {digest} {what} the cache {cache}; leave basis.digest empty to have one made"
             )
         if _digest(content) != digest:
             raise ConfigurationError(f"wind: the reduced basis {path} is damaged; delete it")
         return content
 
     def load(self, digest: str) -> ReducedBasis:
-        """Return a basis by name; raises ConfigurationError where it is missing or damaged."""
+        """Return the basis with a digest; raises ConfigurationError if it is missing or damaged."""
         content = self.content(digest)
         path = self.folder / f"{digest}.npz"
-        with suppress(OSError):  # a cache that cannot be written to
+        with suppress(OSError):  # the cache may not be writable
             os.utime(path, ns=(time.time_ns(), path.stat().st_mtime_ns))
         with np.load(io.BytesIO(content)) as arrays:
             return ReducedBasis(**arrays)
 
-    def newest(self) -> tuple[str, ReducedBasis] | None:
-        """Return the newest basis and its digest, None where there is none; where it is damaged, the log says so."""
+    def find(self, role: Role) -> tuple[str, ReducedBasis] | None:
+        """Return the digest and the basis of a role.
+
+        None if there is none, or if it is damaged, which the log then says.
+        """
         try:
-            digest = (self.folder / "current").read_text(encoding="utf-8", errors="replace").strip()
+            digest = (self.folder / role).read_text(encoding="utf-8", errors="replace").strip()
             return digest, self.load(digest)
         except FileNotFoundError:
             return None
@@ -116,32 +128,50 @@ class BasisStore:
             log.warning("reduced basis: it is made anew (%s)", error)
             return None
 
-    def save(self, basis: ReducedBasis) -> str:
-        """Write a basis, make it the newest, return its digest; old ones that nobody uses go."""
+    def save(self, basis: ReducedBasis, role: Role) -> str:
+        """Write a basis, give it a role, return its digest; remove old bases that nobody uses."""
         content = _packed(**basis.arrays())
         digest = _digest(content)
         _place(self.folder / f"{digest}.npz", content)
-        _place(self.folder / "current", digest.encode())
-        made = sorted(self.folder.glob("*.npz"), key=lambda path: path.stat().st_mtime_ns)
-        for path in made[:-NEWEST]:
-            if path.stem != digest and time.time() - path.stat().st_atime > UNUSED:
-                path.unlink()
-                log.info("reduced basis: %s, not used for %d days, is removed", path, UNUSED / 86400)
+        _place(self.folder / role, digest.encode())
+        self._remove_unused()
         return digest
 
+    def _remove_unused(self) -> None:
+        with_role = set()
+        for role in ("made", "enriched"):
+            with suppress(OSError):
+                with_role.add((self.folder / role).read_text(encoding="utf-8", errors="replace").strip())
+        saved = sorted(self.folder.glob("*.npz"), key=lambda path: path.stat().st_mtime_ns)
+        for path in saved[:-NEWEST]:
+            if path.stem not in with_role and time.time() - path.stat().st_atime > UNUSED:
+                path.unlink()
+                log.info("reduced basis: %s, not used for %d days, is removed", path, UNUSED / 86400)
+
     def submit(self, reynolds: float, direction: float, velocity: np.ndarray) -> None:
-        """Leave a wind (2 v,) for the next basis, unless very many wait already; the log says where it cannot."""
+        """Leave a wind for the next enriched basis, unless ``MOST_WAITING`` wait already.
+
+        If it cannot be written, the log says so and the run continues.
+
+        Args:
+            reynolds: unit Reynolds number in 1/m.
+            direction: towards which the air moves, in radians.
+            velocity: (2 m,) velocity of the unit wind.
+        """
         if len(list((self.folder / "waiting").glob("*.npz"))) >= MOST_WAITING:
             return
         parameters = np.array([reynolds, direction])
         content = _packed(parameters=parameters, velocity=velocity)
         try:
             _place(self.folder / "waiting" / f"{_digest(parameters.tobytes())}.npz", content)
-        except ConfigurationError as error:  # the run has its wind and goes on
-            log.warning("%s: the next basis will not know a wind that was solved in full", error)
+        except ConfigurationError as error:
+            log.warning("%s: a wind that was solved in full is not kept for the next basis", error)
 
     def waiting(self, size: int, limit: int) -> list[Waiting]:
-        """Return up to ``limit`` winds that wait, by name; a file without a velocity of ``size`` numbers is removed."""
+        """Return up to ``limit`` winds that wait, in the order of their names.
+
+        Files that do not hold a velocity of ``size`` numbers are removed, with a line in the log.
+        """
         found: list[Waiting] = []
         for path in sorted((self.folder / "waiting").glob("*.npz"))[:limit]:
             try:
@@ -151,7 +181,7 @@ class BasisStore:
                     raise ValueError(f"expected {size} numbers, got shape {wind.velocity.shape}")
             except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
                 log.warning("reduced basis: %s cannot be used (%s) and is removed", path, error)
-                with suppress(OSError):  # a folder, or another user's
+                with suppress(OSError):  # a folder, or another user's file
                     path.unlink()
                 continue
             found.append(wind)
@@ -178,7 +208,7 @@ def _packed(**arrays: np.ndarray) -> bytes:
 
 
 def _place(path: Path, content: bytes) -> None:
-    """Write beside and move into place; raises ConfigurationError where the cache cannot be written to."""
+    """Write a file elsewhere and move it into place; raises ConfigurationError if the cache cannot be written to."""
     try:
         with making(path.parent) as folder:
             made = folder / path.name

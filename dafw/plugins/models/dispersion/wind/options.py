@@ -15,14 +15,19 @@ class BasisOptions:
     directions: int = option(32, "directions all round of the winds it is made from", minimum=4)
     levels: int = option(5, "intensities in each direction, denser towards calm", minimum=1)
     max_intensity: float = option(12.0, "m/s; the strongest wind it is made from", above=0.0)
-    modes: int = option(160, "modes kept; an enriched basis has more", minimum=1)
+    modes: int = option(160, "modes kept; an enriched basis has up to twice as many", minimum=1)
     tolerance: float = option(
         0.01,
         "estimated relative L2 error of the velocity above which the full equations are solved",
         above=0.0,
         maximum=1.0,
     )
-    digest: str = option("", "the basis to use, as an earlier run recorded it; empty: the newest")
+    enrich: bool = option(
+        False,
+        "add the winds that runs solved in full to the basis of later runs: these are faster, but the same seed then "
+        "gives other bits; false: the basis stays as it was made",
+    )
+    digest: str = option("", "the basis to use, as an earlier run recorded it; empty: as made, or enriched")
 
 
 @dataclass

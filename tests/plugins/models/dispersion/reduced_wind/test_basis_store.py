@@ -27,6 +27,7 @@ from dafw.plugins.models.dispersion.wind_solvers import wind_solver
 OPTIONS = WindOptions(
     viscosity=20.0, solver="reduced", basis=BasisOptions(directions=4, levels=1, max_intensity=1.0, modes=10)
 )
+ENRICH = replace(OPTIONS, basis=replace(OPTIONS.basis, enrich=True))
 
 
 def plain_block():
@@ -58,19 +59,20 @@ def only_folder(cache):
 
 def test_what_was_saved_is_loaded(tmp_path, basis):
     store = BasisStore(tmp_path)
-    assert store.newest() is None
-    digest = store.save(basis)
-    found, loaded = store.newest()
-    assert found == digest == store.save(basis)
+    assert store.find("made") is None
+    digest = store.save(basis, "made")
+    found, loaded = store.find("made")
+    assert found == digest == store.save(basis, "made")
+    assert store.find("enriched") is None
     for name, array in basis.arrays().items():
         np.testing.assert_array_equal(loaded.arrays()[name], array)
 
 
-def test_a_basis_stays_when_a_newer_one_comes(tmp_path, basis):
+def test_a_basis_stays_when_an_enriched_one_comes(tmp_path, basis):
     store = BasisStore(tmp_path)
-    old = store.save(basis)
-    new = store.save(replace(basis, gram=2.0 * basis.gram))
-    assert store.newest()[0] == new != old
+    old = store.save(basis, "made")
+    new = store.save(replace(basis, gram=2.0 * basis.gram), "enriched")
+    assert store.find("enriched")[0] == new != old == store.find("made")[0]
     np.testing.assert_array_equal(store.load(old).gram, basis.gram)
 
 
@@ -80,20 +82,20 @@ def test_a_basis_that_is_not_there_is_a_wrong_request(tmp_path):
 
 
 def test_a_basis_of_another_key_is_not_taken_for_a_missing_one(tmp_path, basis):
-    digest = BasisStore(tmp_path / "wind-basis-one").save(basis)
+    digest = BasisStore(tmp_path / "wind-basis-one").save(basis, "made")
     with pytest.raises(ConfigurationError, match=f"{digest} is one of another mesh or of other wind options"):
         BasisStore(tmp_path / "wind-basis-two").load(digest)
 
 
 def test_a_name_that_leads_elsewhere_is_no_basis(tmp_path, basis):
-    digest = BasisStore(tmp_path / "wind-basis-one").save(basis)
+    digest = BasisStore(tmp_path / "wind-basis-one").save(basis, "made")
     with pytest.raises(ConfigurationError, match="is not in the cache"):
         BasisStore(tmp_path / "wind-basis-two").load(f"../wind-basis-one/{digest}")
 
 
 def test_a_basis_asked_for_by_name_must_be_whole(tmp_path, basis):
     store = BasisStore(tmp_path)
-    digest = store.save(basis)
+    digest = store.save(basis, "made")
     file = tmp_path / f"{digest}.npz"
     file.write_bytes(file.read_bytes()[:-1])
     with pytest.raises(ConfigurationError, match=f"the reduced basis .*{digest}.npz is damaged; delete it"):
@@ -106,25 +108,26 @@ def test_a_basis_that_cannot_be_read_says_why(tmp_path):
         BasisStore(tmp_path).load(32 * "a")
 
 
-def test_where_it_cannot_be_read_which_is_the_newest_there_is_none(tmp_path, caplog):
-    (tmp_path / "current").mkdir()
-    assert BasisStore(tmp_path).newest() is None
+def test_where_it_cannot_be_read_which_one_was_made_there_is_none(tmp_path, caplog):
+    (tmp_path / "made").mkdir()
+    assert BasisStore(tmp_path).find("made") is None
     assert "it is made anew" in caplog.text and "Is a directory" in caplog.text
 
 
 def test_old_bases_that_nobody_used_for_weeks_go(tmp_path, basis, caplog):
     caplog.set_level(logging.INFO)
     store = BasisStore(tmp_path)
-    digests = [store.save(replace(basis, gram=k * basis.gram)) for k in range(5)]
+    made = store.save(replace(basis, gram=7.0 * basis.gram), "made")
+    digests = [store.save(replace(basis, gram=k * basis.gram), "enriched") for k in range(5)]
     long_ago = time.time() - 1.1 * store_module.UNUSED
-    for k, digest in enumerate(digests):
+    for k, digest in enumerate([made, *digests]):
         os.utime(tmp_path / f"{digest}.npz", (long_ago, long_ago + k))
     store.load(digests[1])  # used now
-    newest = store.save(replace(basis, gram=9.0 * basis.gram))
+    newest = store.save(replace(basis, gram=9.0 * basis.gram), "enriched")
     left = {path.stem for path in tmp_path.glob("*.npz")}
-    assert left == {digests[1], digests[3], digests[4], newest}
+    assert left == {made, digests[1], digests[3], digests[4], newest}
     assert caplog.text.count("is removed") == 2
-    assert store.newest()[0] == newest
+    assert store.find("enriched")[0] == newest
 
 
 @pytest.mark.parametrize("damage", [lambda c: c[: len(c) // 2], lambda c: b"something else", lambda c: c[:-1] + b"x"])
@@ -149,19 +152,30 @@ def test_another_mesh_or_option_is_another_basis(block):
     other = rectangle(5, 5, (100.0, 101.0), [(40.0, 40.4, 60.0, 60.6)])
     names = {key(block, OPTIONS), key(other, OPTIONS), key(block, replace(OPTIONS, viscosity=21.0))}
     assert len(names) == 3
-    trusting = replace(OPTIONS, solver="accelerated", basis=replace(OPTIONS.basis, tolerance=0.1, digest="x"))
+    trusting = replace(OPTIONS, solver="accelerated", basis=replace(OPTIONS.basis, tolerance=0.1, digest="x", enrich=True))
     assert key(block, trusting) == key(block, OPTIONS)
 
 
-def test_winds_solved_in_full_enrich_the_next_basis_and_not_the_one_in_use(block, cache):
+def test_unless_one_asks_for_it_a_basis_stays_as_it_was_made(block, cache):
     solver = wind_solver(block, OPTIONS)
+    before = {path: path.read_bytes() for path in only_folder(cache).rglob("*") if path.is_file()}
+    assert not solver.trusts(solver.solve(6.0, 0.5).unit)
+    assert {path: path.read_bytes() for path in only_folder(cache).rglob("*") if path.is_file()} == before
+    enriching = wind_solver(block, ENRICH)
+    enriching.solve(6.0, 0.5)
+    assert wind_solver(block, ENRICH).digest != enriching.digest == solver.digest
+    assert wind_solver(block, OPTIONS).digest == solver.digest
+
+
+def test_winds_solved_in_full_enrich_the_next_basis_and_not_the_one_in_use(block, cache):
+    solver = wind_solver(block, ENRICH)
     strong = solver.solve(6.0, 0.5)
     assert not solver.trusts(strong.unit)
     assert solver.solve(6.0, 0.5).unit.size == strong.unit.size
     pinned = replace(OPTIONS, basis=replace(OPTIONS.basis, digest=solver.digest))
     assert wind_solver(block, pinned).digest == solver.digest
     assert len(list((only_folder(cache) / "waiting").iterdir())) == 1
-    richer = wind_solver(block, OPTIONS)
+    richer = wind_solver(block, ENRICH)
     assert richer.digest != solver.digest
     assert not list((only_folder(cache) / "waiting").iterdir())
     found = richer.solve(6.0, 0.5)
@@ -172,13 +186,13 @@ def test_winds_solved_in_full_enrich_the_next_basis_and_not_the_one_in_use(block
 
 
 def test_a_wind_that_the_basis_knows_by_then_adds_nothing(block, cache):
-    first = wind_solver(block, OPTIONS)
+    first = wind_solver(block, ENRICH)
     first.solve(6.0, 0.5)
-    richer = wind_solver(block, OPTIONS)
-    late = wind_solver(block, replace(OPTIONS, basis=replace(OPTIONS.basis, digest=first.digest)))
+    richer = wind_solver(block, ENRICH)
+    late = wind_solver(block, replace(OPTIONS, basis=replace(ENRICH.basis, digest=first.digest)))
     late.solve(6.0, 0.5)  # a run that began before, and meets the same wind
     assert len(list((only_folder(cache) / "waiting").iterdir())) == 1
-    assert wind_solver(block, OPTIONS).digest == richer.digest
+    assert wind_solver(block, ENRICH).digest == richer.digest
     assert not list((only_folder(cache) / "waiting").iterdir())
 
 
@@ -188,7 +202,7 @@ def test_a_cache_that_cannot_be_written_to_is_named_and_ends_no_run(tmp_path, ca
     with pytest.raises(ConfigurationError, match="wind: cannot write to the cache"), store.lock():
         pass
     store.submit(0.1, 0.0, np.zeros(6))
-    assert "the next basis will not know a wind that was solved in full" in caplog.text
+    assert "a wind that was solved in full is not kept for the next basis" in caplog.text
 
 
 def test_no_more_winds_wait_than_can_be_used(tmp_path, monkeypatch):
@@ -206,7 +220,7 @@ def test_a_wind_that_cannot_be_read_is_put_away(block, cache, caplog):
     (waiting / "half.npz").write_bytes(b"PK\x03\x04 half a file")
     (waiting / "folder.npz").mkdir()
     BasisStore(only_folder(cache)).submit(0.1, 0.2, np.zeros(3))
-    assert wind_solver(block, OPTIONS).digest == digest
+    assert wind_solver(block, ENRICH).digest == digest
     assert [path.name for path in waiting.iterdir()] == ["folder.npz"]  # which is none of ours
     assert caplog.text.count("cannot be used") == 3
 
@@ -245,7 +259,7 @@ def test_mesh_and_basis_tidy_up_after_the_dead(small_site, cache, basis):
     left = [store.folder / "waiting" / name, store.folder / name, cache / name]
     for path in left:
         path.mkdir(parents=True, exist_ok=True)
-    store.save(basis)
+    store.save(basis, "made")
     assert [path.exists() for path in left] == [False, False, True]
     generate(site, options)
     assert not left[2].exists()
@@ -263,7 +277,7 @@ ENRICHING = """
 import sys, time
 from pathlib import Path
 sys.path[:0] = [sys.argv[1], str(Path(sys.argv[1]).parent)]
-from test_basis_store import OPTIONS, plain_block
+from test_basis_store import ENRICH, plain_block
 from dafw.plugins.models.dispersion.wind_solvers import wind_solver
 number, meeting = int(sys.argv[2]), Path(sys.argv[3])
 
@@ -272,11 +286,11 @@ def meet(purpose):
     while len(list(meeting.glob(f"{purpose}-*"))) < 2:
         time.sleep(0.001)
 
-solver = wind_solver(plain_block(), OPTIONS)
+solver = wind_solver(plain_block(), ENRICH)
 meet("solve")
 assert not solver.trusts(solver.solve(6.0, float(number)).unit)
 meet("enrich")
-richer = wind_solver(plain_block(), OPTIONS)
+richer = wind_solver(plain_block(), ENRICH)
 print(richer.digest, *(richer.trusts(richer.solve(6.0, float(n)).unit) for n in (1, 2)))
 """
 
@@ -295,7 +309,7 @@ def test_two_runs_that_enrich_at_once_both_get_both_winds(block, cache):
     ]  # fmt: skip
     said = [run.communicate(timeout=120) for run in runs]
     assert [run.returncode for run in runs] == [0, 0], said
-    newest = wind_solver(block, OPTIONS).digest
+    newest = wind_solver(block, ENRICH).digest
     assert newest != plain
     assert [output.split() for output, _ in said] == [[newest, "True", "True"]] * 2
     folder = only_folder(cache)

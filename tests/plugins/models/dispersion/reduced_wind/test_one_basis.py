@@ -3,6 +3,7 @@
 import json
 
 import netCDF4
+import numpy as np
 import pytest
 from run_files import contents
 from small_study import small_study
@@ -21,8 +22,8 @@ BASIS = {"directions": 4, "levels": 1, "max_intensity": 3.0, "modes": 20, "toler
 def study(small_model, tmp_path, monkeypatch):
     monkeypatch.setenv("DAFW_CACHE", str(tmp_path / "cache"))
 
-    def make(digest="", executor="serial", truth=None, **wind):
-        options = {"solver": "reduced", "basis": BASIS | {"digest": digest}}
+    def make(digest="", executor="serial", truth=None, enrich=False, **wind):
+        options = {"solver": "reduced", "basis": BASIS | {"digest": digest, "enrich": enrich}}
         model = small_model | {"wind": options | wind}
         truth = {"wind_speed": 2.0, "transport": {"diffusion": 0.8}, **(truth or {})}
         return small_study(model, truth, {"name": executor}, members=4, cycles=3)
@@ -58,12 +59,40 @@ def test_one_site_and_one_list_of_nodes_for_all(study, monkeypatch):
     assert len(read) == 4
 
 
-def test_a_run_has_one_basis_and_the_next_the_newest(study):
-    first, _ = study().prepare()
+def test_a_run_that_enriches_has_one_basis_and_the_next_the_newest(study):
+    first, _ = study(enrich=True).prepare()
     outside(first.model.solver)
-    second, _ = study().prepare()  # in the same process, the first still there
+    second, _ = study(enrich=True).prepare()  # in the same process, the first still there
     assert second.model.solver.digest != first.model.solver.digest  # which has taken the wind in meanwhile,
     assert first.truth.solver.digest == first.model.solver.digest  # before the first run's truth was asked
+
+
+@pytest.mark.parametrize("executor", ["serial", "processes"])
+def test_the_same_study_twice_gives_the_same_bits(study, tmp_path, executor):
+    summary = run_study(study(executor=executor), tmp_path / "first")
+    (folder,) = (tmp_path / "cache").glob("wind-basis-*")
+    on_disk = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    with netCDF4.Dataset(tmp_path / "first" / "run.nc") as file:
+        assert (file["wind_speed_members"][1:] > BASIS["max_intensity"]).any()  # winds that the basis does not know
+    assert run_study(study(executor=executor), tmp_path / "second")["pinned"] == summary["pinned"]
+    assert contents(tmp_path / "second") == contents(tmp_path / "first")
+    assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == on_disk
+
+    run_study(study(executor=executor, enrich=True), tmp_path / "leaving winds")
+    assert contents(tmp_path / "leaving winds") == contents(tmp_path / "first")  # the basis was enriched by nobody yet
+    richer = run_study(study(executor=executor, enrich=True), tmp_path / "richer")
+    digest = richer["pinned"]["model"]["wind"]["basis"]["digest"]
+    assert digest != summary["pinned"]["model"]["wind"]["basis"]["digest"]
+    assert contents(tmp_path / "richer") != contents(tmp_path / "first")
+    assert modes(folder, digest) > modes(folder, (folder / "made").read_text())
+    run_study(study(executor=executor), tmp_path / "third")  # what others added changes nothing
+    assert contents(tmp_path / "third") == contents(tmp_path / "first")
+
+
+def modes(folder, digest):
+    """Return the number of modes of a basis."""
+    with np.load(folder / f"{digest}.npz") as arrays:
+        return len(arrays["quadratic"])
 
 
 def test_sharing_changes_no_bit(study, tmp_path, monkeypatch):
@@ -80,14 +109,14 @@ def test_sharing_changes_no_bit(study, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("executor", ["serial", "processes"])
 def test_the_digest_in_the_file_gives_the_run_again(study, tmp_path, executor):
-    summary = run_study(study(executor=executor), tmp_path / "first")
+    summary = run_study(study(executor=executor, enrich=True), tmp_path / "first")
     with netCDF4.Dataset(tmp_path / "first" / "run.nc") as file:
         pinned = {role: json.loads(file.getncattr(f"{role}_pinned")) for role in ("model", "truth", "free")}
     assert summary["pinned"] == pinned
     assert json.loads((tmp_path / "first" / "summary.json").read_text())["pinned"] == pinned
     digest = pinned["model"]["wind"]["basis"]["digest"]
     assert pinned["truth"] == pinned["free"] == {"wind": {"basis": {"digest": digest}}}
-    newer = run_study(study(), tmp_path / "newer")  # winds of the first run are in the basis of this one
+    newer = run_study(study(enrich=True), tmp_path / "newer")  # winds of the first run are in the basis of this one
     assert newer["pinned"]["model"] != pinned["model"]
     assert contents(tmp_path / "newer") != contents(tmp_path / "first")
     run_study(study(digest), tmp_path / "again")
