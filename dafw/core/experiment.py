@@ -16,7 +16,6 @@ from dafw.core.interfaces import Model
 from dafw.core.late import LATE_CHOICES
 from dafw.core.options import build, merged, option
 from dafw.core.registry import registry
-from dafw.core.sharing import together
 from dafw.core.study import RECORDED, Study
 
 NAME = re.compile(r"[\w.-]{1,100}")
@@ -112,7 +111,7 @@ def study_from(config: Mapping[str, Any]) -> Study:
 
 
 def _models(options: StudyOptions, with_truth: bool) -> dict[str, Any]:
-    """Make the model, the truth and the free run, which share what they have in common."""
+    """Make the model, the truth and the free run."""
 
     def make(role: str, changes: Mapping[str, Any]) -> Model:
         try:
@@ -121,9 +120,8 @@ def _models(options: StudyOptions, with_truth: bool) -> dict[str, Any]:
             raise type(error)(f"{role}: {error}" if changes else str(error)) from error
         return model
 
-    with together():
-        return {
-            "model": make("model", {}),
-            "truth": make("truth", options.truth or {}) if with_truth else None,
-            "free": None if options.free is None else make("free", options.free),
-        }
+    return {
+        "model": make("model", {}),
+        "truth": make("truth", options.truth or {}) if with_truth else None,
+        "free": None if options.free is None else make("free", options.free),
+    }

@@ -23,6 +23,7 @@ from dafw.core.late import LATE_CHOICES
 from dafw.core.memory import require_memory
 from dafw.core.registry import registry
 from dafw.core.rng import Streams
+from dafw.core.sharing import Shared
 
 RECORDED = ("none", "parameters", "all")
 
@@ -116,14 +117,16 @@ class Study:
     def prepare(self, communicator: Any = None) -> tuple[Parts, Vehicle]:
         """Build the parts of a cycle and place the vehicles; raises a DafwError that names the plugin.
 
-        The ranks of an MPI ``communicator``, which call together, share the work of the models.
+        The work of the models is distributed among the ranks of an MPI ``communicator``, which all call this.
         """
-        model = self.model
+        model, shared = self.model, Shared()
+        for one in self.models.values():
+            one.share_with(shared)
         if communicator is not None:
             if registry().recipe(self.executor) != {"name": "serial"}:
                 raise ConfigurationError(f"mpirun expects the executor 'serial', got {self.executor.label}")
             for one in self.models.values():
-                one.share(communicator)
+                one.distribute(communicator)
         for role, other in self.models.items():
             if other.dt != model.dt:
                 raise ConfigurationError(f"the {role} has dt = {other.dt:g} s, the model {model.dt:g} s: expected one")

@@ -10,6 +10,7 @@ from dafw.core.ensemble import Ensemble, Forecast, Memory, Step
 from dafw.core.errors import ConfigurationError
 from dafw.core.plugin import Plugin, require_sense
 from dafw.core.rng import MemberStreams
+from dafw.core.sharing import Shared
 from dafw.core.space import Array, StateSpace
 
 
@@ -44,11 +45,17 @@ class Model(Plugin):
         """Return sentences for the log about what the model was made of."""
         return []
 
-    def share(self, communicator: Any) -> None:
-        """Share the work of every step with the other ranks of an MPI communicator; called before anything else.
+    def share_with(self, shared: Shared) -> None:
+        """Use ``shared`` for what this model has in common with the other models of a run.
 
-        All ranks then call the same in the same order, and every one gets the whole result. Raises ConfigurationError:
-        a model that says nothing else works in one process.
+        Called when a run is prepared, before anything is computed. A model that has nothing to share does nothing.
+        """
+
+    def distribute(self, communicator: Any) -> None:
+        """Distribute the work of every step among the ranks of an MPI communicator; called before anything is computed.
+
+        Afterwards all ranks make the same calls in the same order, and each gets the full result. Raises
+        ConfigurationError unless a model overrides it: without that it works in one process.
         """
         raise ConfigurationError(f"{self.label} works in one process: mpirun brings nothing, run it without")
 

@@ -1,16 +1,19 @@
 """Model ``ad``: a gas carried and spread by a wind that is the same everywhere.
 
-State: the concentration at the nodes of the mesh (a share of the released maximum), the wind speed (m/s), the wind
+State: the concentration at the nodes of the mesh (relative to the released maximum), the wind speed (m/s), the wind
 direction (radians, the angle TOWARDS which the air moves, counter-clockwise from east). Algorithm 1 of Gioia et al.
-(2024), doi:10.1109/SDF63218.2024.10773899, gives the order of a step: noise on the concentration, spurious values cut
-off, then transport. The wind does not evolve; only the assimilation changes it.
+(2024), doi:10.1109/SDF63218.2024.10773899, gives the order of a step: noise on the concentration, cut-off of spurious
+values, transport. The wind does not evolve; only the assimilation changes it.
+
+This module holds the options, so it is imported when a configuration is checked, and must be light. What computes is
+imported where it is first used.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -23,7 +26,7 @@ from dafw.core.errors import ConfigurationError, about_member
 from dafw.core.interfaces import Model
 from dafw.core.options import option
 from dafw.core.rng import MemberStreams
-from dafw.core.sharing import Shared, shared
+from dafw.core.sharing import Shared
 from dafw.core.space import ANGLE, NONNEGATIVE, Array, StateSpace, Variable
 from dafw.plugins.models.dispersion.mesh.options import MeshOptions
 from dafw.plugins.models.dispersion.mesh.partition import Partition, Undivided
@@ -35,18 +38,6 @@ if TYPE_CHECKING:
     from dafw.plugins.models.dispersion.site.site import Site
     from dafw.plugins.models.dispersion.transport.system import TransportSystem
     from dafw.plugins.models.dispersion.transport.transport import Transport
-
-
-@lru_cache(maxsize=4)
-def _loaded(path: Path, communicator: int | None = None) -> TaggedMesh:
-    """The truth, the free run and the belief share one mesh; ``communicator``: the handle of one to partition it."""
-    from dafw.plugins.models.dispersion.mesh.load import load
-
-    if communicator is None:
-        return load(path)
-    from mpi4py import MPI
-
-    return load(path, MPI.Comm.fromhandle(communicator))
 
 
 @dataclass
@@ -70,8 +61,9 @@ class AdvectionDiffusion(Model):
     noise: float = option(0.0, "standard deviation of the noise before a step, as a share of the value", minimum=0.0)
     cutoff: float = option(1e-6, "concentrations up to this are set to zero before a step, where there is noise")
 
+    # for a member, what defines its wind and its TransportSystem
     _systems: dict[int, tuple[Array, Any]] = field(default_factory=dict, init=False, repr=False)
-    _shared: Shared = field(default_factory=shared, init=False, repr=False, compare=False)
+    _shared: Shared = field(default_factory=Shared, init=False, repr=False, compare=False)
     _communicator: Any = field(default=None, init=False, repr=False)
 
     @classmethod
@@ -101,38 +93,54 @@ class AdvectionDiffusion(Model):
 
     @cached_property
     def ground(self) -> Site:
-        """Where there is gas. A wind through walls would make the transport ill-posed, so here they are left out."""
+        """The site of the mesh: without buildings, since with a wind through walls the transport would be ill-posed."""
         return replace(self.place, buildings=(), names=(), types=())
 
-    def share(self, communicator: Any) -> None:
-        """Have the ranks of an MPI communicator share the mesh among them; the state stays whole on every rank."""
+    def share_with(self, shared: Shared) -> None:
+        """Use ``shared`` for the site, the mesh and what is computed from them."""
+        self._shared = shared
+
+    def distribute(self, communicator: Any) -> None:
+        """Divide the mesh among the ranks of an MPI communicator; every rank still has the full state."""
         self._communicator = communicator
 
     @cached_property
-    def tagged_mesh(self) -> TaggedMesh:
-        """The mesh of the ground, from the cache where it was made before."""
+    def _mesh_file(self) -> Path:
         from dafw.plugins.models.dispersion.mesh.generate import generate
 
-        return _loaded(generate(self.ground, self.mesh))
+        return generate(self.ground, self.mesh)
 
     @cached_property
-    def part_mesh(self) -> TaggedMesh:
-        """What the solvers work on: the mesh, or this rank's part of it."""
-        whole, communicator = self.tagged_mesh, self._communicator
-        return whole if communicator is None else _loaded(whole.file, communicator.handle)
+    def tagged_mesh(self) -> TaggedMesh:
+        """The mesh of ``ground``, as one process holds it."""
+        from dafw.plugins.models.dispersion.mesh.load import load
+
+        file = self._mesh_file
+        return self._shared.once(("mesh", file), lambda: load(file))
+
+    @cached_property
+    def solver_mesh(self) -> TaggedMesh:
+        """The mesh that the solvers work on: ``tagged_mesh``, or the same mesh divided among the ranks."""
+        from dafw.plugins.models.dispersion.mesh.load import load
+
+        file, communicator = self._mesh_file, self._communicator
+        if communicator is None:
+            return self.tagged_mesh
+        return self._shared.once(("divided mesh", file, communicator.handle), lambda: load(file, communicator))
 
     @cached_property
     def _nodes(self) -> Partition | Undivided:
-        """From the nodes of the state to those of the transport."""
+        """The step between the nodes of the state and those of the transport on this rank."""
+        from dafw.plugins.models.dispersion.fem.numbering import nearest
+
         nodes = self._topology[0]
         if self._communicator is None:
             return Undivided(len(nodes))
-        from dafw.plugins.models.dispersion.fem.numbering import nearest
-
         return Partition(nearest(nodes, self._transport.matrices.places), self._communicator)
 
     @cached_property
     def _topology(self) -> tuple[Array, Any]:
+        """The nodes (nodes, 2) in m and the triangles (faces, 3)."""
         from dafw.plugins.models.dispersion.mesh.load import topology
 
         mesh = self.tagged_mesh
@@ -166,13 +174,13 @@ class AdvectionDiffusion(Model):
     def _transport(self) -> Transport:
         from dafw.plugins.models.dispersion.transport.transport import Transport
 
-        return Transport(self.part_mesh, self.transport, self.dt)
+        return Transport(self.solver_mesh, self.transport, self.dt)
 
     def notes(self) -> list[str]:
         """Return what was done to the site, and the size of the mesh."""
         size = f"{self._topology[0].shape[0]} nodes, {len(self._topology[1])} triangles"
-        shared = f", shared by {self._communicator.size} processes" if self._communicator else ""
-        return [*self.place.report_lines(), size + shared]
+        divided = f", divided among {self._communicator.size} processes" if self._communicator else ""
+        return [*self.place.report_lines(), size + divided]
 
     def initial(self, n_members: int, rng: MemberStreams) -> Array:
         """Return the released bell, the same in all members, with winds drawn from the first guess."""
@@ -196,39 +204,52 @@ class AdvectionDiffusion(Model):
         if self.noise > 0.0:
             concentration += self.noise * concentration * rng.standard_normal(concentration.shape)
             concentration[concentration <= self.cutoff] = 0.0
-        if self._communicator is not None:  # another kind of processor may have rounded otherwise
+        if self._communicator is not None:
+            # Ranks on other kinds of processors may have rounded differently; all continue with the numbers of rank 0.
             self._communicator.Bcast(stepped)
         winds, memory, diagnostics = self.winds(state["wind_speed"][:, 0], state["wind_direction"][:, 0], memory, t)
         for member, wind in enumerate(winds):
             with about_member(member):
-                part = self._system(member, wind).step(self._nodes.local(concentration[member]))
-                concentration[member] = self._nodes.gather(part)
-        # Galerkin's undershoots are no gas; the state's own set decides.
+                local = self._system(member, wind).step(self._nodes.local(concentration[member]))
+                concentration[member] = self._nodes.gather(local)
+        # Galerkin's scheme may undershoot zero; the filter's retraction puts that right.
         return Step(stepped, memory, diagnostics)
 
     def winds(
         self, speed: Array, direction: Array, memory: Memory | None, t: float
     ) -> tuple[Array, Memory | None, Diagnostics]:
-        """Return what defines each member's wind (N, k), and the memory and diagnostics of finding it."""
+        """Return the winds (N, k) of the members, in numbers that define them, with new memory and diagnostics.
+
+        Args:
+            speed: (N,) wind speed of every member in m/s.
+            direction: (N,) towards which the air moves, in radians.
+            memory: that of the members.
+            t: time in s.
+        """
         return np.stack([speed, direction], axis=1), None, {}
 
     def velocity(self, wind: Array) -> Any:
-        """Return the wind that ``winds`` defined for one member (k,) as a DOLFINx function in m/s."""
+        """Return the wind of one member in m/s as a DOLFINx function; ``wind`` (k,) is a row of ``winds``."""
         speed, direction = wind
         return self._transport.uniform_velocity(speed, direction)
 
     def _system(self, member: int, wind: Array) -> TransportSystem:
-        """Return the member's matrix: kept while its wind stays the same to the last bit.
+        """Return the member's system of a step, which is kept as long as the bits of its wind stay the same.
 
-        Where there are more members than matrices are kept, the others share one that is made for each anew.
+        If there are more members than systems are kept, the other members share one that is made anew for each.
         """
         slot = min(member, self._transport.systems_kept)
         kept = self._systems.get(slot)
         if kept is None or not np.array_equal(kept[0], wind):
-            self._systems.pop(slot, None)  # made over, it is no longer what it was, even if that fails
+            self._systems.pop(slot, None)  # it is overwritten now, and no longer valid even if that fails
             self._systems[slot] = kept = (wind.copy(), self.system(wind, kept[1] if kept else None))
         return kept[1]
 
     def system(self, wind: Array, reuse: TransportSystem | None = None) -> TransportSystem:
-        """Return the steps of the gas in the wind that ``winds`` defined for one member (k,); ``reuse`` is given up."""
+        """Return the system of a step in the wind of one member.
+
+        Args:
+            wind: (k,) a row of ``winds``.
+            reuse: a system that is no longer needed; it may be overwritten and returned.
+        """
         return self._transport.system(self.velocity(wind), reuse)

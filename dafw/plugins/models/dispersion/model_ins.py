@@ -1,12 +1,14 @@
 """Model ``ad_ins``: a gas carried by a steady wind that flows around the buildings.
 
-A member's wind is solved for anew only where its parameters have left the ones of its last solve (marked INS) by more
+The wind of a member is solved again only if its parameters differ from those of its last solve (marked INS) by more
 than the thresholds of Algorithm 1, Gioia et al. (2024), doi:10.1109/SDF63218.2024.10773899::
 
     |I - I_INS| >= tr_I |I|   or   |d - d_INS| >= tr_d |d|         differences of directions wrapped to [-pi, pi)
 
-Between solves the wind of the last one carries the gas. What a solve starts from, the member's last wind, is the
-memory of the run, so that nothing depends on what else ran in the process.
+Otherwise the wind of the last solve carries the gas. A solve starts from the member's last wind. That wind is in the
+memory of the run, so results do not depend on what else ran in the process.
+
+Like model.py this module must be light.
 """
 
 from __future__ import annotations
@@ -52,59 +54,65 @@ class AdvectionDiffusionINS(AdvectionDiffusion):
 
     @cached_property
     def ground(self) -> Site:
-        """The site with its buildings: the wind stands still at their walls."""
+        """The site with its buildings: the wind is zero at their walls."""
         return self.place
 
     @cached_property
     def solver(self) -> WindSolver:
-        """The wind solver on this mesh, one for all models of a run whose options are the same."""
+        """The wind solver, one for all models of a run with the same mesh and the same wind options."""
         from dafw.plugins.models.dispersion.wind_solvers import wind_solver
 
-        name = ("wind solver", self.part_mesh, repr(self.wind))
-        return self._shared.once(name, lambda: wind_solver(self.part_mesh, self.wind))
+        name = ("wind solver", self.solver_mesh, repr(self.wind))
+        return self._shared.once(name, lambda: wind_solver(self.solver_mesh, self.wind))
 
-    def share(self, communicator: Any) -> None:
-        """Have the ranks of an MPI communicator share the mesh; raises ConfigurationError where the solver cannot."""
+    def distribute(self, communicator: Any) -> None:
+        """Divide the mesh among the ranks; raises ConfigurationError if the wind solver works in one process."""
         try:
             require_one_process(self.wind)
         except ConfigurationError as error:
             raise ConfigurationError(f"{self.label}: {error}") from error
-        super().share(communicator)
+        super().distribute(communicator)
 
     def require_available(self) -> None:
-        """Raise ConfigurationError where the reduced basis that is asked for by its digest cannot be had."""
-        if self.wind.solver != "newton":
-            from dafw.plugins.models.dispersion.reduced_wind.choice import require_basis
+        """Raise ConfigurationError if the options name a reduced basis that is missing or damaged."""
+        if self.wind.solver == "newton":
+            return
+        from dafw.plugins.models.dispersion.reduced_wind.choice import require_basis
 
-            name = ("basis is there", self.tagged_mesh, repr(self.wind))
-            try:
-                self._shared.once(name, lambda: require_basis(self.tagged_mesh, self.wind))
-            except ConfigurationError as error:
-                raise ConfigurationError(f"{self.label}: {error}") from error
+        name = ("basis is there", self.tagged_mesh, repr(self.wind))
+        try:
+            self._shared.once(name, lambda: require_basis(self.tagged_mesh, self.wind))
+        except ConfigurationError as error:
+            raise ConfigurationError(f"{self.label}: {error}") from error
 
     @cached_property
     def _unit(self) -> Partition | Undivided:
-        """From the unit winds in the memory, in the numbering of the whole mesh, to those of the solver."""
-        if self._communicator is None:
-            return Undivided(self.solver.unknowns)
+        """The step between the unit winds in the memory and those of the solver on this rank."""
         from dafw.plugins.models.dispersion.fem.mixed_space import MixedSpace
         from dafw.plugins.models.dispersion.fem.numbering import places_of
 
-        undivided = MixedSpace(self.tagged_mesh.mesh)
-        return Partition(places_of(self.solver.problem, undivided), self._communicator)
+        if self._communicator is None:
+            return Undivided(self.solver.unknowns)
+        return Partition(places_of(self.solver.problem, MixedSpace(self.tagged_mesh.mesh)), self._communicator)
 
     def pinned_options(self) -> Mapping[str, Any]:
-        """Name the reduced basis in use, where there is one: there may be a newer one by now."""
+        """Return the digest of the reduced basis in use, if any: an enriched basis may be replaced by a newer one."""
         return {"wind": {"basis": {"digest": self.solver.digest}}} if self.solver.digest else {}
 
     def initial_memory(self, members: Array) -> Memory:
-        """Return the memory of members (N, n) for which no wind was solved yet: NaN."""
+        """Return the memory of members (N, n) for which no wind was solved yet: their last parameters are NaN."""
         n_members = len(members)
         never = np.full(n_members, np.nan)
         return {"unit": np.zeros((n_members, self._unit.size)), "speed": never, "direction": never}
 
     def due(self, speed: Array, direction: Array, memory: Memory) -> np.ndarray:
-        """Say for which members (N,) the thresholds ask for a new wind."""
+        """Return for which members the wind must be solved again (N,), bool.
+
+        Args:
+            speed: (N,) wind speed in m/s.
+            direction: (N,) towards which the air moves, in radians.
+            memory: has the parameters of the last solves.
+        """
         turned = np.abs(np.mod(direction - memory["direction"] + np.pi, 2.0 * np.pi) - np.pi)
         changed = np.abs(speed - memory["speed"])
         within = (changed < self.speed_threshold * np.abs(speed)) & (
@@ -115,7 +123,11 @@ class AdvectionDiffusionINS(AdvectionDiffusion):
     def winds(
         self, speed: Array, direction: Array, memory: Memory | None, t: float
     ) -> tuple[Array, Memory | None, Diagnostics]:
-        """Solve the winds that are due; raises SolverError with time and member where one cannot be and must be."""
+        """Solve the winds that are due; a row of the result is a unit wind and its intensity in m/s.
+
+        The arguments are those of ``AdvectionDiffusion.winds``. Raises SolverError, which names the member, if a wind
+        cannot be solved and the last one must not be kept.
+        """
         if memory is None:
             raise SolverError(f"{self.label}: a step needs the memory that initial_memory or the last step gave")
         memory = {name: array.copy() for name, array in memory.items()}
@@ -148,23 +160,24 @@ class AdvectionDiffusionINS(AdvectionDiffusion):
         return np.column_stack([memory["unit"], memory["speed"]]), memory, diagnostics
 
     def velocity(self, wind: Array) -> Any:
-        """Return the solved wind of one member as a DOLFINx function in m/s."""
+        """Return the solved wind of one member in m/s as a DOLFINx function; ``wind`` is a row of ``winds``."""
         return self.solver.velocity(self._unit.local(wind[:-1]), wind[-1])
 
     @cached_property
     def _reduced_advection(self) -> ReducedAdvection | None:
-        """Advection in winds of the reduced basis; None where winds are not reduced, or it is not linear in them."""
+        """The advection in winds of the reduced basis; None without one, and for SUPG: it is not linear in the wind."""
         from dafw.plugins.models.dispersion.reduced_wind.advection import ReducedAdvection
         from dafw.plugins.models.dispersion.reduced_wind.reduced import ReducedWindSolver
 
         solver = self.solver
         if not isinstance(solver, ReducedWindSolver) or self.transport.scheme != "galerkin":
             return None
-        name = ("reduced advection", self.tagged_mesh, repr(self.wind))  # diffusion and time step have no say in it
+        # It depends neither on the diffusion nor on the time step.
+        name = ("reduced advection", self.tagged_mesh, repr(self.wind))
         return self._shared.once(name, lambda: ReducedAdvection(self._transport, solver))
 
     def system(self, wind: Array, reuse: TransportSystem | None = None) -> TransportSystem:
-        """Return the steps of the gas in the wind of one member; ``reuse`` is given up."""
+        """Return the system of a step in the wind of one member; the arguments are as above."""
         reduced = self._reduced_advection
         if reduced is None or not reduced.holds(wind[:-1]):
             return super().system(wind, reuse)

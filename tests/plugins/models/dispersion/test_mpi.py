@@ -16,10 +16,10 @@ import numpy as np
 import pytest
 import ufl
 import yaml
+from divided_mesh import results
 from dolfinx import fem
 from mpi4py import MPI
 from scipy.spatial import KDTree
-from shared_domain import results
 
 from dafw.commands import main
 from dafw.core.errors import ConfigurationError
@@ -68,31 +68,31 @@ def alone(options):
 
 
 @pytest.fixture(scope="module")
-def shared(options, mesh_file, tmp_path_factory):
+def divided(options, mesh_file, tmp_path_factory):
     """What two ranks find."""
-    folder = tmp_path_factory.mktemp("shared")
-    ended = mpiexec(HERE / "shared_domain.py", folder / "found.npz", json.dumps(options), cwd=folder)
+    folder = tmp_path_factory.mktemp("divided")
+    ended = mpiexec(HERE / "divided_mesh.py", folder / "found.npz", json.dumps(options), cwd=folder)
     assert ended.returncode == 0, ended.stderr
     with np.load(folder / "found.npz") as found:
         return dict(found)
 
 
-def matched(alone, shared):
+def matched(alone, divided):
     """Return the values of both at the same places."""
-    distances, places = KDTree(shared[:, :2]).query(alone[:, :2])
-    assert distances.max() < 1e-9 and len(np.unique(places)) == len(shared)
-    return alone[:, 2:], shared[places, 2:]
+    distances, places = KDTree(divided[:, :2]).query(alone[:, :2])
+    assert distances.max() < 1e-9 and len(np.unique(places)) == len(divided)
+    return alone[:, 2:], divided[places, 2:]
 
 
-def test_the_ranks_share_the_nodes_and_hold_the_same_bits(alone, shared):
-    assert 500 < alone["nodes"].sum() == shared["nodes"].sum() and len(shared["nodes"]) == 2
-    assert shared["nodes"].min() > 0.3 * shared["nodes"].sum()
-    assert shared["same on all ranks"].tolist() == [True, True]
+def test_the_nodes_are_divided_among_the_ranks_which_hold_the_same_bits(alone, divided):
+    assert 500 < alone["nodes"].sum() == divided["nodes"].sum() and len(divided["nodes"]) == 2
+    assert divided["nodes"].min() > 0.3 * divided["nodes"].sum()
+    assert divided["same on all ranks"].tolist() == [True, True]
 
 
 @pytest.mark.parametrize("name", VELOCITIES)
-def test_two_ranks_find_the_wind_of_one(mesh_file, alone, shared, name):
-    one, two = matched(alone[name], shared[name])
+def test_two_ranks_find_the_wind_of_one(mesh_file, alone, divided, name):
+    one, two = matched(alone[name], divided[name])
     space = TaylorHood(load(mesh_file).mesh).velocity_space
 
     def norm(values):
@@ -105,24 +105,24 @@ def test_two_ranks_find_the_wind_of_one(mesh_file, alone, shared, name):
 
 
 @pytest.mark.parametrize("name", [name.replace("velocity", "pressure") for name in VELOCITIES])
-def test_the_pressure_is_fixed_at_the_same_node(alone, shared, name):
-    one, two = matched(alone[name], shared[name])
+def test_the_pressure_is_fixed_at_the_same_node(alone, divided, name):
+    one, two = matched(alone[name], divided[name])
     assert np.abs(two - one).max() < AGREED * np.abs(one).max()
     if "uniform" in name:
         assert np.count_nonzero(one == 0.0) == np.count_nonzero(two == 0.0) == 1
 
 
 @pytest.mark.parametrize("name", CLOUDS)
-def test_two_ranks_carry_the_cloud_of_one(alone, shared, name):
-    one, two = matched(alone[name], shared[name])
+def test_two_ranks_carry_the_cloud_of_one(alone, divided, name):
+    one, two = matched(alone[name], divided[name])
     assert np.abs(one).max() > 0.05
     assert np.abs(two - one).max() < AGREED * np.abs(one).max()
 
 
 @pytest.mark.parametrize("name", ["members", "units"])
-def test_state_and_memory_keep_the_numbering_of_one_process(alone, shared, name):
-    assert alone[name].shape == shared[name].shape
-    assert np.abs(shared[name] - alone[name]).max() < 1e-8 * np.abs(alone[name]).max()
+def test_state_and_memory_keep_the_numbering_of_one_process(alone, divided, name):
+    assert alone[name].shape == divided[name].shape
+    assert np.abs(divided[name] - alone[name]).max() < 1e-8 * np.abs(alone[name]).max()
 
 
 @pytest.mark.parametrize(
@@ -134,8 +134,8 @@ def test_state_and_memory_keep_the_numbering_of_one_process(alone, shared, name)
         ("too few steps", "WindError: wind: no solution"),
     ],
 )
-def test_what_is_wrong_is_an_error_on_every_rank(shared, name, error):
-    told = shared[f"failure {name}"]
+def test_what_is_wrong_is_an_error_on_every_rank(divided, name, error):
+    told = divided[f"failure {name}"]
     assert len(told) == 2 and all(line.startswith(error) for line in told)
 
 
@@ -197,7 +197,7 @@ def test_a_run_of_two_ranks_is_that_of_one_process(folder, monkeypatch, capsys):
         assert np.ptp(one["err"][:]) > 0.1
 
 
-def test_what_the_ranks_cannot_share_is_refused_in_one_line(folder):
+def test_what_cannot_be_divided_among_ranks_is_refused_in_one_line(folder):
     ended = mpiexec(*RUN, "model.wind.solver=reduced", "hydra.run.dir=refused", cwd=folder)
     assert (ended.returncode, ended.stdout) == (2, "")
     (line,) = ended.stderr.splitlines()
@@ -208,11 +208,11 @@ def test_what_the_ranks_cannot_share_is_refused_in_one_line(folder):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"executor": {"name": "processes"}}, "mpirun expects the executor 'serial', got 'processes'"),
+        ({"executor": {"name": "processes"}}, "mpirun expects the executor 'serial', got executor 'processes'"),
         ({}, "model 'lorenz96' works in one process"),
     ],
 )
-def test_a_study_that_cannot_be_shared_is_refused(changes, message):
+def test_a_study_that_cannot_be_distributed_is_refused(changes, message):
     study = {"model": {"name": "lorenz96"}, "observer": {"name": "grid"}, "policy": {"name": "stationary"}}
     with pytest.raises(ConfigurationError, match=re.escape(message)):
         study_from(study | {"filter": {"name": "none"}} | changes).prepare(MPI.COMM_SELF)
@@ -263,8 +263,8 @@ def test_a_rank_looks_the_mesh_up_once(options, monkeypatch):
     looked_up = []
     monkeypatch.setattr(module, "generate", lambda *what: looked_up.append(what) or generate(*what))
     model = build(AdvectionDiffusionINS, options, "model")
-    model.share(MPI.COMM_SELF)
-    assert model.part_mesh.file == model.tagged_mesh.file
+    model.distribute(MPI.COMM_SELF)
+    assert model.solver_mesh.file == model.tagged_mesh.file
     assert len(looked_up) == 1
 
 

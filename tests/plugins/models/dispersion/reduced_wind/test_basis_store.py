@@ -152,7 +152,8 @@ def test_another_mesh_or_option_is_another_basis(block):
     other = rectangle(5, 5, (100.0, 101.0), [(40.0, 40.4, 60.0, 60.6)])
     names = {key(block, OPTIONS), key(other, OPTIONS), key(block, replace(OPTIONS, viscosity=21.0))}
     assert len(names) == 3
-    trusting = replace(OPTIONS, solver="accelerated", basis=replace(OPTIONS.basis, tolerance=0.1, digest="x", enrich=True))
+    others = replace(OPTIONS.basis, tolerance=0.1, digest="x", enrich=True)
+    trusting = replace(OPTIONS, solver="accelerated", basis=others)
     assert key(block, trusting) == key(block, OPTIONS)
 
 

@@ -41,8 +41,10 @@ def test_belief_truth_and_free_run_share_what_is_the_same(study):
     parts, _ = study().prepare()
     assert parts.model.solver is parts.truth.solver is parts.free.solver
     assert parts.model._reduced_advection is parts.truth._reduced_advection
+    assert parts.model.tagged_mesh is parts.truth.tagged_mesh is parts.free.tagged_mesh
     other, _ = study(truth={"wind": {"viscosity": 30.0}}).prepare()
     assert other.model.solver is not other.truth.solver
+    assert other.model.tagged_mesh is other.truth.tagged_mesh is not parts.model.tagged_mesh  # another run
     assert other.model.solver.digest != other.truth.solver.digest
 
 

@@ -1,6 +1,6 @@
-"""What the ranks of a communicator find on one domain: test_mpi.py runs it by mpiexec, and on its own rank.
+"""What ranks find on a mesh that is divided among them: test_mpi.py runs it by mpiexec, and on its own rank.
 
-python shared_domain.py FILE OPTIONS        OPTIONS: those of a model ad_ins, JSON; FILE: .npz
+python divided_mesh.py FILE OPTIONS        OPTIONS: those of a model ad_ins, JSON; FILE: .npz
 """
 
 import json
@@ -25,7 +25,7 @@ TOLERANCE = 1e-11
 CENTRE = np.array([30.0, 5.0])
 
 
-def together(comm, space, values):
+def gathered(comm, space, values):
     """Return places (m, 2) and values (m, k) of all ranks, of the dofs of a space that each owns."""
     places = space.tabulate_dof_coordinates()[: space.dofmap.index_map.size_local, :2]
     rows = np.column_stack([places, values.reshape(len(places), -1)])
@@ -39,8 +39,8 @@ def winds(comm, tagged, boundary):
     for name, intensity, direction in (("first", 5.0, 0.5), ("second", 6.0, 1.2)):
         unit = solver.solve(intensity, direction, unit).unit
         velocity, pressure = problem.velocity(unit), unit[problem.pressure_dofs]
-        found[f"velocity {boundary} {name}"] = together(comm, problem.velocity_space, velocity)
-        found[f"pressure {boundary} {name}"] = together(comm, problem.pressure_space, pressure)
+        found[f"velocity {boundary} {name}"] = gathered(comm, problem.velocity_space, velocity)
+        found[f"pressure {boundary} {name}"] = gathered(comm, problem.pressure_space, pressure)
     return found, solver.velocity(unit, 6.0)
 
 
@@ -61,10 +61,10 @@ def clouds(comm, tagged, scheme, flow):
 
 
 def forecasts(comm, options):
-    """Three members of a model stepped three times, and the winds that they remember: whole, on every rank."""
+    """Three members of a model stepped three times, and the winds that they remember, all of it on every rank."""
     model = build(AdvectionDiffusionINS, options | {"noise": 0.1, "wind": {"tolerance": TOLERANCE}}, "model")
     if comm.size > 1:
-        model.share(comm)
+        model.distribute(comm)
     streams = Streams(1)
     forecast = model.first_guess(3, streams.members("initial", 0))
     for cycle in range(3):
