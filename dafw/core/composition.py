@@ -14,17 +14,21 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from hydra import compose as hydra_compose
-from hydra import initialize_config_dir
+from hydra import version as hydra_version
+from hydra._internal.hydra import Hydra
+from hydra._internal.utils import create_config_search_path
+from hydra.core.config_search_path import SearchPathQuery
 from hydra.core.config_store import ConfigStore
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
+from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from dafw.core.config_loader import StudyLoader
 from dafw.core.errors import ConfigurationError, OptionError, PluginError
 from dafw.core.experiment import StudyOptions
-from dafw.core.options import schema
+from dafw.core.options import schema, unknown_option
 from dafw.core.registry import KINDS, registry
 
 # Launchers and sweepers that are installed as Hydra plugins, and the plain handlers of logging: nothing else by name.
@@ -54,12 +58,20 @@ def register_schemas() -> None:
         store.store(group=registered.spec.kind, name=registered.spec.name, node=node, provider=registered.package)
 
 
-def compose(overrides: Sequence[str], folder: Path | None = None, name: str = "config") -> DictConfig:
-    """Compose a study with Hydra's own part under ``hydra``; raises ConfigurationError in one line."""
+def study_hydra(more: Path | None = None) -> Hydra:
+    """Return the Hydra that composes and launches studies; ``more`` is a folder with further configuration."""
     register_schemas()
+    hydra_version.setbase("1.3")
+    search_path = create_config_search_path(str(config_folder()))
+    if more is not None:
+        search_path.prepend("command-line", more.resolve().as_uri(), SearchPathQuery(provider="schema"))
+    return Hydra("dafw", StudyLoader(search_path))
+
+
+def compose(overrides: Sequence[str], more: Path | None = None, name: str = "config") -> DictConfig:
+    """Compose a study with Hydra's own part under ``hydra``; raises ConfigurationError in one line."""
     try:
-        with initialize_config_dir(str(folder or config_folder()), version_base="1.3", job_name="dafw"):
-            config = hydra_compose(name, overrides=list(overrides), return_hydra_config=True)
+        config: DictConfig = study_hydra(more).compose_config(name, list(overrides), RunMode.RUN, from_shell=False)
     except (HydraException, OmegaConfBaseException, ValueError) as error:
         raise explained(error) from error
     refuse_code(config)
@@ -113,19 +125,50 @@ def _entries(node: Any, path: str) -> Iterator[tuple[str, str, Any]]:
             yield from _entries(item, f"{path}[{number}]")
 
 
+def advised(
+    error: ConfigurationError, overrides: Sequence[str], more: Path | None = None, name: str = "config"
+) -> ConfigurationError:
+    """Return the error; where another model than the experiment's was chosen, with the experiments that have it."""
+    hydra = study_hydra(more)
+
+    def model(*words: str) -> str | None:
+        try:
+            return str(hydra.compose_config(name, [*paths, *words], RunMode.RUN, from_shell=False).model.name)
+        except (HydraException, OmegaConfBaseException):
+            return None
+
+    paths = [word for word in overrides if word.startswith("hydra.searchpath=")]
+    chosen = model(*overrides)
+    meant = model(*(word for word in overrides if re.match("[+~]*experiment\\b", word)))
+    if chosen is None or chosen == meant or not any(word.startswith("model=") for word in overrides):
+        return error
+    there_are = hydra.config_loader.get_group_options("experiment", config_name=name, overrides=paths)
+    fitting = [experiment for experiment in sorted(there_are) if model(f"experiment={experiment}") == chosen]
+    hint = (
+        f"try {' or '.join(f'experiment={experiment}' for experiment in fitting)}"
+        if fitting
+        else (
+            f"no experiment has model '{chosen}': choose observer=, policy= and filter= that fit it, "
+            f"dafw run '~experiment' model={chosen} observer=..."
+        )
+    )
+    return type(error)(f"{error}; this study's parts are for model '{meant}': {hint}")
+
+
 def explained(error: BaseException) -> ConfigurationError:
     """Return Hydra's error as one line that says what is accepted."""
     root: BaseException = error
     while root.__cause__ is not None and isinstance(root.__cause__, HydraException | OmegaConfBaseException):
         root = root.__cause__
+    if (file := re.match(r"In '([^']+)': \w+ raised while composing", str(root))) and root.__context__ is not None:
+        within = explained(root.__context__)
+        return type(within)(f"{file[1]}: {within}")
     key = getattr(root, "full_key", None)
     options = getattr(root, "object_type", None)
     lines = [line.strip() for line in str(root).splitlines() if line.strip()]
-    if key and dataclasses.is_dataclass(options):
-        names = [f.name for f in dataclasses.fields(options) if f.name != "name" or "." not in str(key)]
-        last = str(key).rpartition(".")[2]
-        if last not in names and last != "name":
-            return OptionError(f"unknown option '{key}' (accepted: {', '.join(names) or 'none'})")
+    if key and dataclasses.is_dataclass(options) and isinstance(options, type):
+        if (last := str(key).rpartition(".")[2]) not in [f.name for f in dataclasses.fields(options)]:
+            return OptionError(unknown_option(options, last, _place(str(key), getattr(root, "parent_node", None))))
         if re.search("is not Optional", lines[0]):
             return OptionError(f"option '{key}' must have a value, got null")
         if group := re.search(r"is not a subclass of \w+\. value: (.*)", lines[0]):
@@ -138,6 +181,16 @@ def explained(error: BaseException) -> ConfigurationError:
         return ConfigurationError(f"there is no '{key}' here ({hint})")
     text = "; ".join(line for line in lines if not line.startswith(("full_key:", "object_type=", "reference_type=")))
     return ConfigurationError(f"{key}: {text}" if key and str(key) not in text else text)
+
+
+def _place(key: str, node: Any) -> str:
+    """Return where an option belongs, as ``build`` says it: ``model 'ad_ins', wind, basis``, or ``study``."""
+    kind, *groups = key.split(".")[:-1] or ["study"]
+    while node is not None and node._get_parent() is not None and node._key() != kind:
+        node = node._get_parent()
+    if kind not in ("study", "hydra"):
+        kind = f"{kind} '{node['name']}'" if node is not None and "name" in node else f"study, {kind}"
+    return ", ".join([kind, *groups])
 
 
 def _unknown_choice(group: str, name: str, there_are: Sequence[str] | None) -> str:

@@ -13,6 +13,7 @@ mapping back into an instance, and ``describe`` lists the options for people.
 from __future__ import annotations
 
 import dataclasses
+import difflib
 import types
 import typing
 from collections.abc import Iterator, Mapping, Sequence
@@ -68,7 +69,9 @@ def _default(f: dataclasses.Field[Any]) -> Any:
 
 def schema(cls: type, **fixed: str) -> type:
     """Return a dataclass type that Hydra can compose: the options of ``cls`` after the ``fixed`` string fields."""
-    made: list[tuple[str, Any, Any]] = [(name, str, field(default=value)) for name, value in fixed.items()]
+    made: list[tuple[str, Any, Any]] = [
+        (name, str, field(default=value, metadata={"fixed": True})) for name, value in fixed.items()
+    ]
     for f, hint in _option_fields(cls):
         if is_dataclass(hint) and isinstance(hint, type):
             nested = schema(hint)
@@ -100,7 +103,7 @@ def build[T](cls: type[T], values: Mapping[str, Any], where: str) -> T:
     known = dict((f.name, (f, hint)) for f, hint in _option_fields(cls))
     for name in values:
         if name not in known:
-            raise OptionError(f"{where}: unknown option '{name}' (accepted: {', '.join(known) or 'none'})")
+            raise OptionError(unknown_option(cls, str(name), where))
     arguments: dict[str, Any] = {}
     for name, (f, hint) in known.items():
         if name not in values:
@@ -119,6 +122,15 @@ def build[T](cls: type[T], values: Mapping[str, Any], where: str) -> T:
         if str(error).startswith(where):
             raise
         raise type(error)(f"{where}: {error}") from error
+
+
+def unknown_option(cls: type, name: str, where: str) -> str:
+    """Return what is said of an option that ``cls`` does not have: the nearest one, and all that there are."""
+    known = [f.name for f, _ in _option_fields(cls) if "fixed" not in f.metadata]
+    nested = [described.name for described in describe(cls) if described.name.rpartition(".")[2] == name]
+    near = [*nested, *difflib.get_close_matches(name, known, n=1)]
+    hint = f", did you mean '{near[0]}'?" if near else ""
+    return f"{where}: unknown option '{name}'{hint} (accepted: {', '.join(known) or 'none'})"
 
 
 def _checked(value: Any, hint: Any, f: dataclasses.Field[Any], where: str) -> Any:

@@ -1,10 +1,14 @@
 """Composing studies: names and numbers only, everything wrong refused in one line before anything is computed."""
 
+from dataclasses import dataclass
+from typing import Any
+
 import pytest
 
-from dafw import ConfigurationError, DafwError
-from dafw.core.composition import compose, single_runs, study_part
+from dafw import ConfigurationError, DafwError, Filter, OptionError, PluginSpec, option
+from dafw.core.composition import advised, compose, single_runs, study_part
 from dafw.core.experiment import merged, options_from, study_from
+from dafw.core.registry import Registered, registry
 
 
 def study(*overrides):
@@ -41,17 +45,28 @@ def test_one_word_changes_the_filter():
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
-        (["filter.inflatoin=2"], "unknown option 'filter.inflatoin' .accepted: inflation"),
+        (
+            ["filter.inflatoin=2"],
+            "^filter 'etkf': unknown option 'inflatoin', did you mean 'inflation'. .accepted: inflation, rotation.$",
+        ),
+        (["policy=stationary", "policy.sectors=3"], "^policy 'stationary': unknown option 'sectors' .accepted: none.$"),
+        (["policy.sector=3"], "^policy 'enie2d': unknown option 'sector', did you mean 'sectors'"),
+        (["model.wall_size=3"], "^model 'ad_ins': unknown option 'wall_size', did you mean 'mesh.wall_size'"),
+        (["model.mesh.wal_size=3"], "^model 'ad_ins', mesh: unknown option 'wal_size', did you mean 'wall_size'"),
+        (["executor=processes", "executor.worker=3"], "^executor 'processes': unknown option 'worker', did you mean"),
+        (["vehicle.sped=3"], "^study, vehicle: unknown option 'sped', did you mean 'speed'"),
         (["+filter.foo=1"], "filter 'etkf': unknown option 'foo' .accepted: inflation"),
         (["filter=etfk"], "no filter 'etfk' .did you mean 'etkf'"),
         (["filter.inflation=abc"], "'filter.inflation'.*'abc'"),
         (["filter.inflation=0.5"], "at least 1.0, got 0.5"),
-        (["cyclse=3"], "unknown option 'cyclse' .accepted: name, seed, members, cycles"),
+        (["cyclse=3"], "^study: unknown option 'cyclse', did you mean 'cycles'. .accepted: name, seed, members"),
         (["cycles=0"], "'cycles' must be at least 1"),
         (["seed=-1"], "'seed' must be at least 0"),
         (["experiment=nope"], "no experiment 'nope' .there are: .*enie2d"),
         (["members=1"], "at least 2 members"),
+        (["truth.wind_sped=3"], "^truth: model 'ad_ins': unknown option 'wind_sped', did you mean 'wind_speed'"),
         (["+truth.wind_sped=3"], "truth: model 'ad_ins': unknown option 'wind_sped'"),
+        (["free.mesh.wal_size=20"], "^free: model 'ad_ins', mesh: unknown option 'wal_size', did you mean 'wall_size'"),
         (["truth.transport.diffusion=-1"], "at least 0"),
         (["model.wind.closure=magic"], "one of constant, proportional"),
         (["model.wind.solver=null"], "^option 'model.wind.solver' must have a value, got null$"),
@@ -72,7 +87,8 @@ def test_one_word_changes_the_filter():
         (["name=../../x"], "names a folder"),
         (["name="], "names a folder"),
         (["model.wind_speed=0"], "wind_speed_sd must be 0 or between"),
-        (["truth.name=ad"], r"write \+truth.name"),
+        (["truth.name=adx"], "there is no model 'adx' .did you mean 'ad'"),
+        (["+filter.model=${model}"], "^filter 'etkf': unknown option 'model' .accepted: inflation, rotation.$"),
     ],
 )
 def test_a_wrong_request_is_refused_in_one_line(overrides, message):
@@ -80,6 +96,129 @@ def test_a_wrong_request_is_refused_in_one_line(overrides, message):
         study(*overrides)
     assert caught.value.exit_status == 2
     assert "\n" not in str(caught.value)
+
+
+@pytest.fixture
+def files(tmp_path):
+    """Return what writes an experiment of a folder of one's own, and returns the override that names the folder."""
+    (tmp_path / "experiment").mkdir()
+
+    def write(**experiments):
+        for name, text in experiments.items():
+            (tmp_path / "experiment" / f"{name}.yaml").write_text(f"# @package _global_\n{text}")
+        return f"hydra.searchpath=[file://{tmp_path}]"
+
+    return write
+
+
+PAPER = {"name": "enie2d", "sectors": 8, "theta": 0.2, "variable": "concentration"}
+
+
+def test_an_experiments_options_go_with_their_plugin_and_leave_with_it():
+    assert study("policy=enie2d").policy == PAPER
+    assert study("policy=stationary").policy == {"name": "stationary"}
+    assert study("experiment=lorenz96", "filter=etkf").filter == {"name": "etkf", "inflation": 1.013, "rotation": True}
+    # not the inflation of the experiment's own filter, which has an option of the same name
+    assert study("experiment=lorenz96", "filter=enkf").filter == {"name": "enkf", "inflation": 1.0}
+    assert study("experiment=lorenz96_enkf", "filter=etkf", "filter.rotation=true").filter["inflation"] == 1.0
+    assert study("experiment=lorenz96", "filter=enkf").observer["noise_sd"] == 1.0
+
+
+def test_a_preset_of_the_same_plugin_keeps_the_options(files):
+    preset = files(theirs="defaults: [{override /observer: paper_drone}, _self_]\nobserver: {samples: 3}\n")
+    assert study(preset, "experiment=theirs", "observer=drone").observer["samples"] == 3
+    assert study(preset, "experiment=theirs", "observer=drone").observer["noise_sd"] == study().observer["noise_sd"]
+
+
+def test_the_options_of_truth_and_free_run_are_those_of_a_model():
+    other = study("model=ad")
+    assert (other.truth, other.free) == ({}, {}) and "wind" not in other.model
+    named = study("truth.name=ad", "truth.wind_speed=3")
+    assert (named.truth, named.free) == ({"name": "ad", "wind_speed": 3}, study().free)
+
+
+def test_any_option_of_the_truths_model_is_accepted_without_a_plus():
+    changed = study("truth.mesh.wall_size=20", "truth.wind.closure=proportional", "free.wind.closure=proportional")
+    assert (changed.truth["mesh"], changed.truth["wind"]) == ({"wall_size": 20}, {"closure": "proportional"})
+    assert changed.truth["wind_speed"] == 5.0 and changed.free["wind"] == {"closure": "proportional"}
+
+
+@pytest.mark.parametrize("plus", ["", "+", "++"])
+def test_a_plus_may_stand_before_what_is_there(plus):
+    assert study(f"{plus}truth.wind_speed=6").truth["wind_speed"] == 6
+    assert study(f"{plus}policy.theta=0.3").policy["theta"] == 0.3
+
+
+@pytest.mark.parametrize("plus", ["", "+"])
+def test_the_parts_of_a_composite_are_added_without_a_plus(plus):
+    parts = "{drone: {name: drone}, poles: {name: stations, positions: [[0, 60]]}}"
+    assert sorted(study("observer=composite", f"{plus}observer.parts={parts}").observer["parts"]) == ["drone", "poles"]
+
+
+def test_an_experiment_on_top_of_another_takes_its_own_plugins(files):
+    where = files(
+        mine="defaults: [enie2d, {override /policy: stationary}, {override /filter: enkf}, _self_]\n"
+        "filter: {inflation: 3}\ntruth: {wind_speed: 6}\n",
+        plain="policy: {theta: 0.5}\n",
+        coarse="model: {mesh: {wall_size: 40}}\npolicy: {theta: 0.7}\n",
+        fine="defaults: [coarse, {override /model: ad}, _self_]\n",
+    )
+    mine = study(where, "experiment=mine")
+    assert (mine.policy, mine.filter) == ({"name": "stationary"}, {"name": "enkf", "inflation": 3.0})
+    assert (mine.truth["wind_speed"], mine.truth["transport"]) == (6, {"diffusion": 0.8})
+    # the options of the experiment below come back with their plugin; those of the one above leave with theirs
+    back = study(where, "experiment=mine", "policy=enie2d", "filter=etkf")
+    assert back.policy == PAPER and back.filter["inflation"] == 1.0
+    # without a choice of its own, a file means the plugin that is there
+    assert study(where, "experiment=plain").policy["theta"] == 0.5
+    assert study(where, "experiment=plain", "policy=stationary").policy == {"name": "stationary"}
+    fine = study(where, "experiment=fine")
+    assert (fine.model["name"], fine.model["mesh"]["wall_size"], fine.policy["theta"]) == ("ad", 40.0, 0.7)
+
+
+def test_what_is_added_on_the_command_line_is_meant_for_the_plugin_there(files, tmp_path):
+    (tmp_path / "tuning").mkdir()
+    (tmp_path / "tuning" / "mine.yaml").write_text("# @package _global_\nfilter: {inflation: 1.5}\n")
+    where = files(unused="")
+    assert study(where, "experiment=lorenz96", "filter=enkf", "+tuning=mine").filter["inflation"] == 1.5
+    with pytest.raises(OptionError, match=r"^tuning/mine: filter 'none': unknown option 'inflation' .accepted: none.$"):
+        study(where, "filter=none", "+tuning=mine")
+
+
+def test_a_mistake_in_an_experiment_is_one_line_that_names_the_file(files):
+    where = files(wrong="policy: {sektors: 3}\n", stacked="defaults: [enie2d, _self_]\npolicy: {sektors: 3}\n")
+    for name in ("wrong", "stacked"):
+        with pytest.raises(
+            OptionError, match=f"^experiment/{name}: policy 'enie2d': unknown option 'sektors', did you"
+        ):
+            study(where, f"experiment={name}")
+
+
+@dataclass
+class WithModel(Filter):
+    """Runs a model of its own."""
+
+    model: dict[str, Any] = option({}, "the model's name and options")
+
+
+@pytest.mark.parametrize("word", ["filter.model=${model}", "+filter.model=${model}"])
+def test_an_option_may_be_the_whole_of_another_part(monkeypatch, word):
+    spec = PluginSpec("filter", "with_model", f"{__name__}:WithModel")
+    monkeypatch.setitem(registry()._plugins, ("filter", "with_model"), Registered(spec, "tests"))
+    composed = study("experiment=lorenz96", "filter=with_model", word)
+    assert composed.filter["model"] == composed.model and composed.model["size"] == 40
+
+
+def test_a_model_of_another_kind_brings_the_experiments_that_have_it(files):
+    error = ConfigurationError("it does not fit")
+    told = "it does not fit; this study's parts are for model 'ad_ins': try experiment=lorenz96 or"
+    assert str(advised(error, ["model=lorenz96"])).startswith(told)
+    where = files(ring="defaults: [{override /model: linear_advection}]\n")
+    told = str(advised(error, [where, "model=linear_advection", "cycles=3"]))
+    assert told.endswith("try experiment=linear_advection or experiment=ring")
+    assert "no experiment has model 'ad': choose observer=, policy=" in str(advised(error, ["model=ad"]))
+    assert advised(error, ["experiment=lorenz96", "model=lorenz96"]) is error
+    assert advised(error, ["cycles=3"]) is error
 
 
 @pytest.mark.parametrize(

@@ -46,7 +46,7 @@ def test_values_arrive_typed():
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"cuont": 1}, "filter 'x': unknown option 'cuont' .accepted: count, factor, mode"),
+        ({"cuont": 1}, "filter 'x': unknown option 'cuont', did you mean 'count'. .accepted: count, factor"),
         ({"count": 1.5}, "'count' must be of type int, got 1.5"),
         ({"count": True}, "'count' must be of type int, got True"),
         ({"count": 0}, "'count' must be at least 1, got 0"),
