@@ -6,19 +6,21 @@ configuration has code run that it names itself.
 
 from __future__ import annotations
 
-import os
 import shutil
 import sys
+from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-import hydra
+from hydra._internal.hydra import Hydra
 from hydra._internal.utils import get_args_parser
 from hydra.core.hydra_config import HydraConfig
+from hydra.errors import HydraException
+from hydra.types import RunMode
 from omegaconf import DictConfig
 
-from dafw.core.composition import compose, config_folder, explained, register_schemas, single_runs, study_part
+from dafw.core.composition import advised, compose, explained, single_runs, study_hydra, study_part
 from dafw.core.errors import ComputationError, ConfigurationError, DafwError
 from dafw.core.experiment import study_from
 from dafw.core.study import Study
@@ -41,27 +43,32 @@ def run_command(words: Sequence[str], communicator: Any = None) -> int:
         raise ConfigurationError(
             "--config-path would replace what dafw ships; add a folder of your own by --config-dir"
         )
-    # Hydra itself wants the flags first.
-    words = [word for word in words if word not in asked.overrides] + asked.overrides
+    if asked.experimental_rerun:
+        raise ConfigurationError("--experimental-rerun would run what a file says, whoever wrote it")
     folder = Path(asked.config_dir).resolve() if asked.config_dir else None
     if folder is not None and not folder.is_dir():
         raise ConfigurationError(f"--config-dir {asked.config_dir}: there is no such folder")
+    name, overrides = asked.config_name or "config", list(asked.overrides)
     follows = communicator is not None and communicator.rank > 0
-    shown = asked.help or asked.hydra_help or asked.cfg or asked.info or asked.shell_completion
-    directories = [f"hydra.searchpath=[file://{folder}]"] if folder else []
+    if asked.help or asked.hydra_help or asked.cfg or asked.info or asked.shell_completion:
+        return 0 if follows else _show(parser, asked, overrides, folder, name)
+    if asked.resolve:
+        raise ConfigurationError("run: --resolve goes with --cfg")
     if communicator is not None and asked.multirun:
         raise ConfigurationError("mpirun works on one run: start the runs of a multirun one by one")
-    sweep, jobs = None, list(single_runs(asked.overrides)) if asked.multirun else [list(asked.overrides)]
-    if not shown:
-        placed: set[str] = set()
-        for number, job in enumerate(jobs):
-            if job in jobs[:number]:
-                raise ConfigurationError(f"the multirun has the same job twice: {' '.join(job)}")
-            config = compose([*job, *directories], name=asked.config_name or "config")
-            if config.hydra.job.chdir:
-                raise ConfigurationError("hydra.job.chdir would move relative paths: it is not supported")
-            if not asked.multirun:
-                refuse_run(Path(config.hydra.run.dir))
+    sweep, jobs = None, list(single_runs(overrides)) if asked.multirun else [overrides]
+    placed: set[str] = set()
+    for number, job in enumerate(jobs):
+        if job in jobs[:number]:
+            raise ConfigurationError(f"the multirun has the same job twice: {' '.join(job)}")
+        config = compose(job, folder, name)
+        if config.hydra.job.chdir:
+            raise ConfigurationError("hydra.job.chdir would move relative paths: it is not supported")
+        if config.hydra.mode not in (None, RunMode.MULTIRUN if asked.multirun else RunMode.RUN):
+            raise ConfigurationError("hydra.mode follows the command: dafw run -m for a multirun, dafw run for one run")
+        if not asked.multirun:
+            refuse_run(Path(config.hydra.run.dir))
+        try:
             composed = study_part(config)
             study = study_from(composed)
             # Building the parts shows what only a site or a mesh can tell; once for each place is enough.
@@ -69,11 +76,35 @@ def run_command(words: Sequence[str], communicator: Any = None) -> int:
             if place not in placed:
                 study.prepare(communicator)
                 placed.add(place)
-            if asked.multirun and sweep is None:
-                sweep = Path(config.hydra.sweep.dir).resolve()
+        except ConfigurationError as error:
+            raise advised(error, job, folder, name) from error
+        if asked.multirun and sweep is None:
+            sweep = Path(config.hydra.sweep.dir).resolve()
     if follows:
-        return 0 if shown else _follow(study, communicator)
-    return _launch(list(words), sweep, len(jobs), communicator)
+        return _follow(study, communicator)
+    if len({word for job in jobs for word in job if word.startswith("experiment=")}) > 1:
+        overrides.append("hydra.job.config.override_dirname.exclude_keys=[]")  # else two jobs have the same folder
+    return _launch(study_hydra(folder), name, overrides, sweep, len(jobs), communicator)
+
+
+def _show(parser: ArgumentParser, asked: Namespace, overrides: list[str], folder: Path | None, name: str) -> int:
+    """Show what Hydra knows: its help, the configuration, where that came from."""
+    if sum(map(bool, (asked.cfg, asked.info, asked.shell_completion, asked.run, asked.multirun))) > 1:
+        raise ConfigurationError("run: expected only one of --run, --multirun, --cfg, --info and --shell-completion")
+    asked.overrides = overrides
+    hydra = study_hydra(folder)
+    compose(overrides, folder, name)  # says what is wrong in one line, and refuses code
+    if asked.help:
+        hydra.app_help(name, parser, asked)
+    elif asked.hydra_help:
+        hydra.hydra_help(None, parser, asked)
+    elif asked.cfg:
+        hydra.show_cfg(name, overrides, asked.cfg, asked.package, asked.resolve)
+    elif asked.info:
+        hydra.show_info(asked.info, name, overrides)
+    else:
+        hydra.shell_completion(name, overrides)
+    return 0
 
 
 def _follow(study: Study, communicator: Any) -> int:
@@ -88,12 +119,11 @@ def _refuse(message: str) -> NoReturn:
     raise ConfigurationError(f"run: {message}")
 
 
-def _launch(words: list[str], sweep: Path | None, jobs: int, communicator: Any = None) -> int:
+def _launch(
+    hydra: Hydra, name: str, overrides: list[str], sweep: Path | None, jobs: int, communicator: Any = None
+) -> int:
     """Hand over to Hydra; return the exit status of the job, or of the worst of those of a sweep into a folder."""
-    register_schemas()
     statuses: list[int] = []
-    if sweep is not None:
-        words = [*words, _override("hydra.sweep.dir", sweep)]
 
     def job(config: DictConfig) -> None:
         hydra_config = HydraConfig.get()
@@ -104,20 +134,18 @@ def _launch(words: list[str], sweep: Path | None, jobs: int, communicator: Any =
             (sweep / STATUSES).mkdir(exist_ok=True)
             (sweep / STATUSES / str(hydra_config.job.num)).write_text(str(status))
 
-    # Hydra would turn errors into its own text and status.
-    os.environ["HYDRA_FULL_ERROR"] = "1"
-    previous, sys.argv = sys.argv, ["dafw run", *words]
     try:
-        hydra.main(version_base="1.3", config_path=str(config_folder()), config_name="config")(job)()
-    except (hydra.errors.HydraException, hydra.errors.ConfigCompositionException) as error:
+        if sweep is None:
+            hydra.run(name, job, [*overrides, "hydra.mode=RUN"])
+        else:
+            hydra.multirun(name, job, [*overrides, _override("hydra.sweep.dir", sweep), "hydra.mode=MULTIRUN"])
+    except HydraException as error:
         raise explained(error) from error
     except Exception as error:
         if sweep is None:
             raise
         what = f"{type(error).__name__}: {error}"
         raise ComputationError(f"the launcher of the sweep failed: {what}; what is done is in {sweep}") from error
-    finally:
-        sys.argv = previous
     if sweep is not None:
         for left in sorted((sweep / STATUSES).glob("*")):
             statuses.append(int(left.read_text()))

@@ -209,17 +209,20 @@ def run(what: Study | list[str] | None = None, folder: str | Path | None = None)
 
 def _run_overrides(overrides: list[str], folder: str | Path | None) -> Path:
     """Compose and run a study; return its folder."""
-    from dafw.core.composition import compose, study_part
+    from dafw.core.composition import advised, compose, study_part
     from dafw.core.experiment import study_from
 
     if isinstance(overrides, str) or not all(isinstance(override, str) for override in overrides):
         raise ConfigurationError(f"overrides must be a list of strings, got {overrides!r}")
     config = compose(overrides)
     composed = study_part(config)
-    study = study_from(composed)
     place = Path(folder or config.hydra.run.dir).resolve()
     refuse_run(place)
-    study.prepare()
+    try:
+        study = study_from(composed)
+        study.prepare()
+    except ConfigurationError as error:
+        raise advised(error, overrides) from error
     _keep_configuration(place / ".hydra", composed, overrides)
     run_study(study, place)
     return place

@@ -125,7 +125,9 @@ def test_names_and_options_are_suggested():
     registry = Registry(BUILT_IN)
     with pytest.raises(PluginError, match="did you mean 'etkf'"):
         registry.create("filter", {"name": "etfk"})
-    with pytest.raises(OptionError, match=r"filter 'etkf': unknown option 'inflatoin' .accepted: inflation"):
+    with pytest.raises(
+        OptionError, match=r"filter 'etkf': unknown option 'inflatoin', did you mean 'inflation'. .accepted: "
+    ):
         registry.create("filter", {"name": "etkf", "inflatoin": 1})
     with pytest.raises(PluginError, match="a filter needs a name"):
         registry.create("filter", {"inflation": 1})
