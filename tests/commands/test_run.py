@@ -63,7 +63,7 @@ def test_the_jobs_of_a_multirun_have_their_own_options(folder, capsys):
     found = {(c["name"], c["filter"]["name"]): c["filter"]["inflation"] for c in map(composed, sweep.glob("*/"))}
     assert found == {
         ("mine", "enkf"): 1.25,
-        ("mine", "etkf"): 1.0,
+        ("mine", "etkf"): 1.013,
         ("lorenz96", "enkf"): 1.0,
         ("lorenz96", "etkf"): 1.013,
     }
