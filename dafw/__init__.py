@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from dafw.core.interfaces import Filter, Model, Observer, Policy, Readings
     from dafw.core.interfaces.readings import Request, Taken
     from dafw.core.observation import Interpolation, Observation, ObservationOperator, Selection, colour, whiten
-    from dafw.core.options import option
+    from dafw.core.options import REQUIRED, option
     from dafw.core.runs import open_run
     from dafw.core.space import ANGLE, FIELD, NONNEGATIVE, StateSpace, Variable
     from dafw.core.study import Study
@@ -66,7 +66,7 @@ _HOMES = {
         "colour",
         "whiten",
     ),
-    "dafw.core.options": ("option",),
+    "dafw.core.options": ("REQUIRED", "option"),
     "dafw.core.runs": ("open_run",),
     "dafw.core.study": ("Study",),
     "dafw.core.window": ("Outlook", "PastCycle", "Window"),
@@ -81,6 +81,7 @@ __all__ = [
     "ANGLE",
     "FIELD",
     "NONNEGATIVE",
+    "REQUIRED",
     "Analysis",
     "Batch",
     "ComputationError",

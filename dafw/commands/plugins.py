@@ -8,6 +8,7 @@ from typing import Any
 
 from dafw.commands.parser import Parser
 from dafw.core.errors import PluginError
+from dafw.core.options import REQUIRED
 from dafw.core.registry import registry
 
 
@@ -23,18 +24,25 @@ def plugins_command(words: Sequence[str]) -> int:
         row["summary"] = plugin.spec.summary
         if asked.name or asked.json:
             try:
-                row["options"] = [vars(option) for option in registry().options(plugin.spec.kind, plugin.spec.name)]
+                row["options"] = registry().options(plugin.spec.kind, plugin.spec.name)
             except PluginError as error:
                 row["problem"] = str(error)
         rows.append(row)
     if asked.json:
         problems_listed = [vars(problem) for problem in registry().problems]
-        print(json.dumps({"plugins": rows, "problems": problems_listed}, indent=2, default=str))
+        for row in rows:
+            if "options" in row:
+                row["options"] = [option.plain() for option in row["options"]]
+        print(json.dumps({"plugins": rows, "problems": problems_listed}, indent=2, allow_nan=False))
         return 0
     for row in rows:
         print(f"{row['kind']:<9} {row['name']:<12} {row['summary']}  [{row['package']}]")
         for option in row.get("options", []):
-            print(f"    {option['name']}: {option['type']} = {option['default']}    {option['help']}")
+            default = option.default
+            shown = default if isinstance(default, str) and default else json.dumps(default, default=str)
+            value = "must be given" if default is REQUIRED else f"= {shown}"
+            accepted = f" ({option.accepted})" if option.accepted else ""
+            print(f"    {option.name}: {option.type} {value}{accepted}    {option.help}")
         if "problem" in row:
             print(f"    {row['problem']}")
     for problem in registry().problems:

@@ -23,7 +23,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
+from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 
 from dafw.core.config_loader import StudyLoader
 from dafw.core.errors import ConfigurationError, OptionError, PluginError
@@ -52,10 +52,19 @@ def register_schemas() -> None:
     store.store(name="study", node=schema(StudyOptions))
     for registered in registry().plugins():
         try:
-            node = registry().schema(registered.spec.kind, registered.spec.name)
+            node = _node(registered.spec.kind, registered.spec.name)
         except PluginError:
             continue  # asked for by name, the registry says why it is missing
         store.store(group=registered.spec.kind, name=registered.spec.name, node=node, provider=registered.package)
+
+
+def _node(kind: str, name: str) -> Any:
+    """Return what Hydra composes for a plugin; raises PluginError where its options cannot be composed."""
+    try:
+        return OmegaConf.structured(registry().schema(kind, name))
+    except OmegaConfBaseException as error:
+        reason = str(error).splitlines()[0]
+        raise PluginError(f"{kind} '{name}': its options cannot be composed by Hydra: {reason}") from error
 
 
 def study_hydra(more: Path | None = None) -> Hydra:
@@ -166,6 +175,9 @@ def explained(error: BaseException) -> ConfigurationError:
     key = getattr(root, "full_key", None)
     options = getattr(root, "object_type", None)
     lines = [line.strip() for line in str(root).splitlines() if line.strip()]
+    if key and isinstance(root, MissingMandatoryValue):
+        place, last = _place(str(key), getattr(root, "parent_node", None)), str(key).rpartition(".")[2]
+        return OptionError(f"{place}: option '{last}' must be given")
     if key and dataclasses.is_dataclass(options) and isinstance(options, type):
         if (last := str(key).rpartition(".")[2]) not in [f.name for f in dataclasses.fields(options)]:
             return OptionError(unknown_option(options, last, _place(str(key), getattr(root, "parent_node", None))))
@@ -197,7 +209,7 @@ def _unknown_choice(group: str, name: str, there_are: Sequence[str] | None) -> s
     """Say what there is instead: of plugins by the registry, of the rest by Hydra, whoever shipped it."""
     if group in KINDS:
         try:
-            registry().schema(group, name)
+            _node(group, name)
         except PluginError as error:
             shipped = sorted(set(there_are or ()) - set(registry().names(group)))
             return str(error) + (f"; configured ones: {', '.join(shipped)}" if shipped else "")

@@ -14,6 +14,7 @@ hold options of a model: of the one that they name, or else of the study's.
 from __future__ import annotations
 
 import copy
+import typing
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import replace
 from pathlib import PurePosixPath
@@ -96,12 +97,14 @@ class StudyLoader(ConfigLoaderImpl):
 
 def _open_mappings(node: Any) -> None:
     """Let options that are mappings, and ``truth`` and ``free``, take keys which they do not have yet."""
-    if isinstance(node, DictConfig) and not node._is_none() and not node._is_missing() and not node._is_interpolation():
-        if OmegaConf.get_type(node) is dict:
-            OmegaConf.set_struct(node, False)
-        else:
-            for _, entry in node.items_ex(resolve=False):
-                _open_mappings(entry)
+    if not isinstance(node, DictConfig) or node._is_interpolation():
+        return
+    made_of, declared = OmegaConf.get_type(node), typing.get_origin(node._metadata.ref_type)
+    if made_of is dict or (made_of is None and declared is dict):  # None: must be given, or null
+        OmegaConf.set_struct(node, False)
+    elif not node._is_none() and not node._is_missing():
+        for _, entry in node.items_ex(resolve=False):
+            _open_mappings(entry)
 
 
 class _Files:

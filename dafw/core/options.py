@@ -12,15 +12,21 @@ mapping back into an instance, and ``describe`` lists the options for people.
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import difflib
+import math
 import types
 import typing
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass, make_dataclass
+from functools import partial
 from typing import Any
 
 from dafw.core.errors import ConfigurationError, OptionError
+
+REQUIRED = MISSING
+"""The default of an option that has none."""
 
 
 def option(
@@ -32,7 +38,7 @@ def option(
     maximum: float | None = None,
     choices: Sequence[Any] | None = None,
 ) -> Any:
-    """Declare one option of a plugin.
+    """Declare one option of a plugin; with ``REQUIRED`` for a default it must be given.
 
     ``minimum`` and ``maximum`` are inclusive, ``above`` is exclusive; each holds for every number in a list.
     A mutable default (list, dict) or a dataclass type is made anew for every instance.
@@ -41,18 +47,39 @@ def option(
     if isinstance(default, type):
         return field(default_factory=default, metadata=metadata)
     if isinstance(default, list | dict):
-        return field(default_factory=lambda: type(default)(default), metadata=metadata)
+        return field(default_factory=lambda: copy.deepcopy(default), metadata=metadata)
     return field(default=default, metadata=metadata)
 
 
 @dataclass(frozen=True)
 class Described:
-    """One option as people see it: dotted name, type, default, help."""
+    """One option as people see it; ``default`` is REQUIRED where it must be given."""
 
     name: str
     type: str
     default: Any
     help: str
+    minimum: float | None = None
+    above: float | None = None
+    maximum: float | None = None
+    choices: list[Any] | None = None
+
+    @property
+    def accepted(self) -> str:
+        """The range in words, such as ``at least 1, at most 2``."""
+        limits = (("at least", self.minimum), ("above", self.above), ("at most", self.maximum))
+        words = [f"{word} {limit:g}" for word, limit in limits if limit is not None]
+        return ", ".join(words + ([f"one of {', '.join(map(str, self.choices))}"] if self.choices is not None else []))
+
+    def plain(self) -> dict[str, Any]:
+        """Return the option as JSON has it: no ``default`` where it must be given, and no limits that it has not."""
+        entries = {f.name: getattr(self, f.name) for f in fields(self)}
+        required = self.default is REQUIRED
+        return {"required": required} | {
+            name: value
+            for name, value in entries.items()
+            if not (required if name == "default" else value is None and name not in ("name", "type", "help"))
+        }
 
 
 def _option_fields(cls: type) -> list[tuple[dataclasses.Field[Any], Any]]:
@@ -63,8 +90,34 @@ def _option_fields(cls: type) -> list[tuple[dataclasses.Field[Any], Any]]:
     return [(f, hints[f.name]) for f in fields(cls) if f.init]
 
 
-def _default(f: dataclasses.Field[Any]) -> Any:
-    return f.default_factory() if f.default_factory is not MISSING else f.default
+def _is_group(hint: Any) -> bool:
+    return is_dataclass(hint) and isinstance(hint, type)
+
+
+def _is_required(f: dataclasses.Field[Any]) -> bool:
+    return f.default is MISSING and f.default_factory is MISSING
+
+
+def _default(f: dataclasses.Field[Any], hint: Any, where: str) -> Any:
+    """Return the default of an option, held to what a given value is; raises OptionError."""
+    default = f.default_factory() if f.default_factory is not MISSING else f.default
+    if _is_group(hint):
+        return default
+    if not _is_plain(default):
+        raise OptionError(f"{where}: the default of option '{f.name}' is no plain value, but {default!r}")
+    try:
+        return _checked(default, hint, f, where)
+    except OptionError as error:
+        raise OptionError(f"{error}, its own default") from None
+
+
+def _is_plain(value: Any) -> bool:
+    """Tell whether configurations and JSON can hold a value."""
+    if isinstance(value, list | tuple):
+        return all(map(_is_plain, value))
+    if isinstance(value, Mapping):
+        return all(isinstance(key, str) and _is_plain(entry) for key, entry in value.items())
+    return value is None or isinstance(value, bool | int | str) or (isinstance(value, float) and math.isfinite(value))
 
 
 def schema(cls: type, **fixed: str) -> type:
@@ -73,15 +126,16 @@ def schema(cls: type, **fixed: str) -> type:
         (name, str, field(default=value, metadata={"fixed": True})) for name, value in fixed.items()
     ]
     for f, hint in _option_fields(cls):
-        if is_dataclass(hint) and isinstance(hint, type):
+        if _is_group(hint):
             nested = schema(hint)
             made.append((f.name, nested, field(default_factory=nested)))
-        elif f.default is MISSING and f.default_factory is MISSING:
-            made.append((f.name, _composable(hint), field(default="???")))
-        elif f.default_factory is not MISSING:
-            made.append((f.name, _composable(hint), field(default_factory=f.default_factory)))
+        elif _is_required(f):
+            # A mapping is empty instead of missing, so that entries can be added one by one.
+            missing = field(default_factory=dict) if typing.get_origin(hint) is dict else field(default="???")
+            made.append((f.name, _composable(hint), missing))
         else:
-            made.append((f.name, _composable(hint), field(default=f.default)))
+            default = _default(f, hint, cls.__qualname__)
+            made.append((f.name, _composable(hint), field(default_factory=partial(copy.deepcopy, default))))
     return make_dataclass(cls.__name__, made)
 
 
@@ -106,11 +160,11 @@ def build[T](cls: type[T], values: Mapping[str, Any], where: str) -> T:
             raise OptionError(unknown_option(cls, str(name), where))
     arguments: dict[str, Any] = {}
     for name, (f, hint) in known.items():
+        if _is_required(f) and values.get(name, {}) == {}:
+            raise OptionError(f"{where}: option '{name}' must be given")
         if name not in values:
-            if f.default is MISSING and f.default_factory is MISSING:
-                raise OptionError(f"{where}: option '{name}' must be given")
-            arguments[name] = _default(f)
-        elif is_dataclass(hint) and isinstance(hint, type):
+            arguments[name] = _default(f, hint, where)
+        elif _is_group(hint):
             if not isinstance(values[name], Mapping):
                 raise OptionError(f"{where}: option '{name}' must be a mapping, got {values[name]!r}")
             arguments[name] = build(hint, values[name], f"{where}, {name}")
@@ -193,15 +247,17 @@ def merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any
 
 
 def describe(cls: type, prefix: str = "") -> list[Described]:
-    """List the options of ``cls``, nested ones under dotted names."""
+    """List the options of ``cls``, nested ones under dotted names; raises OptionError where a default is wrong."""
     listed: list[Described] = []
     for f, hint in _option_fields(cls):
-        if is_dataclass(hint) and isinstance(hint, type):
+        if _is_group(hint):
             listed += describe(hint, f"{prefix}{f.name}.")
         else:
-            required = f.default is MISSING and f.default_factory is MISSING
-            default = "(required)" if required else _default(f)
-            listed.append(Described(prefix + f.name, type_name(hint), default, f.metadata.get("help", "")))
+            default = REQUIRED if _is_required(f) else _default(f, hint, cls.__qualname__)
+            limits = {name: f.metadata.get(name) for name in ("minimum", "above", "maximum")}
+            choices = list(f.metadata["choices"]) if f.metadata.get("choices") is not None else None
+            text = f.metadata.get("help", "")
+            listed.append(Described(prefix + f.name, type_name(hint), default, text, **limits, choices=choices))
     return listed
 
 

@@ -142,8 +142,11 @@ class Registry:
         return "".join(f"; package {problem.package}: {problem.message}" for problem in self.problems)
 
     def options(self, kind: str, name: str) -> list[Described]:
-        """List the options of a plugin."""
-        return describe(self.plugin_class(kind, name))
+        """List the options of a plugin; raises PluginError where its class declares them wrongly."""
+        try:
+            return describe(self.plugin_class(kind, name))
+        except OptionError as error:
+            raise PluginError(f"{kind} '{name}': {error}") from error
 
     def schema(self, kind: str, name: str) -> type:
         """Return the dataclass type that Hydra composes for a plugin."""

@@ -46,6 +46,33 @@ def test_plugins_are_listed_with_their_options(capsys):
     assert {"kind", "name", "package", "options"} <= set(etkf)
 
 
+def test_the_list_for_machines_is_strict_json(capsys):
+    def refuse(constant):
+        raise AssertionError(f"{constant} is not JSON")
+
+    assert main(["plugins", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out, parse_constant=refuse)
+    options = {(p["kind"], p["name"], o["name"]): o for p in found["plugins"] for o in p["options"]}
+    inflation = options["filter", "etkf", "inflation"]
+    assert (inflation["default"], inflation["minimum"], inflation["required"]) == (1.0, 1.0, False)
+    assert options["model", "ad_ins", "wind.tolerance"]["above"] == 0.0
+    assert options["model", "ad_ins", "wind.tolerance"]["maximum"] == 0.01
+    assert options["model", "ad_ins", "wind.solver"]["choices"] == ["newton", "accelerated", "reduced"]
+    assert options["observer", "drone", "assumed_variance"]["default"] is None
+    positions = options["observer", "stations", "positions"]
+    assert positions["required"] and "default" not in positions
+
+
+def test_ranges_are_shown(capsys):
+    assert main(["plugins", "ad_ins"]) == 0
+    shown = capsys.readouterr().out
+    assert "wind.tolerance: float = 1e-08 (above 0, at most 0.01)" in shown
+    assert "wind.solver: str = newton (one of newton, accelerated, reduced)" in shown
+    assert 'wind.basis.digest: str = ""' in shown
+    assert main(["plugins", "stations"]) == 0
+    assert "positions: list[list[float]] must be given" in capsys.readouterr().out
+
+
 def test_help_answers_without_loading_anything_heavy():
     code = "import sys, dafw.commands; dafw.commands.main(['--help']); dafw.commands.main(['plugins']); "
     code += "print(sorted({'dolfinx', 'gmsh', 'matplotlib', 'xarray', 'scipy', 'shapely'} & set(sys.modules)))"

@@ -1,11 +1,14 @@
 """Composing studies: names and numbers only, everything wrong refused in one line before anything is computed."""
 
+import copy
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import pytest
+from hydra.core.config_store import ConfigStore
 
-from dafw import ConfigurationError, DafwError, Filter, OptionError, PluginSpec, option
+from dafw import REQUIRED, ConfigurationError, DafwError, Filter, OptionError, PluginSpec, option
 from dafw.core.composition import advised, compose, single_runs, study_part
 from dafw.core.experiment import merged, options_from, study_from
 from dafw.core.registry import Registered, registry
@@ -78,7 +81,8 @@ def test_one_word_changes_the_filter():
         (["model.wind.basis.tolerance=5"], "'tolerance' must be at most 1.0, got 5.0"),
         (["vehicle.start=[[1,2,3]]"], "vehicle.start must be"),
         (["policy.theta=abc"], "theta must be a number"),
-        (["observer=composite"], "at least one observer"),
+        (["observer=composite"], "^observer 'composite': option 'parts' must be given$"),
+        (["observer=composite", "observer.parts={}"], "^observer 'composite': option 'parts' must be given$"),
         (["model.release=[1]"], "one place"),
         (["=="], "(?i)error parsing override"),
         (["record.members=some"], "one of none, parameters, all"),
@@ -153,6 +157,8 @@ def test_a_plus_may_stand_before_what_is_there(plus):
 def test_the_parts_of_a_composite_are_added_without_a_plus(plus):
     parts = "{drone: {name: drone}, poles: {name: stations, positions: [[0, 60]]}}"
     assert sorted(study("observer=composite", f"{plus}observer.parts={parts}").observer["parts"]) == ["drone", "poles"]
+    one = study("observer=composite", f"{plus}observer.parts.one.name=drone", f"{plus}observer.parts.one.samples=3")
+    assert one.observer["parts"] == {"one": {"name": "drone", "samples": 3}}
 
 
 def test_an_experiment_on_top_of_another_takes_its_own_plugins(files):
@@ -205,8 +211,39 @@ class WithModel(Filter):
 def test_an_option_may_be_the_whole_of_another_part(monkeypatch, word):
     spec = PluginSpec("filter", "with_model", f"{__name__}:WithModel")
     monkeypatch.setitem(registry()._plugins, ("filter", "with_model"), Registered(spec, "tests"))
+    monkeypatch.setattr(ConfigStore.instance(), "repo", copy.deepcopy(ConfigStore.instance().repo))
     composed = study("experiment=lorenz96", "filter=with_model", word)
     assert composed.filter["model"] == composed.model and composed.model["size"] == 40
+
+
+@dataclass
+class NoDefault(Filter):
+    """Its author meant no default by None."""
+
+    gain: float = option(None, "a gain")
+
+
+@dataclass
+class NoPlainType(Filter):
+    """Its option is of a type that no configuration can hold."""
+
+    path: Path = option(REQUIRED, "a file")
+
+
+@pytest.mark.parametrize(
+    ("target", "message"),
+    [
+        ("NoDefault", "filter 'theirs': NoDefault: option 'gain' must be of type float, got None, its own default"),
+        ("NoPlainType", "filter 'theirs': option 'path' must be given"),
+    ],
+)
+def test_a_plugin_with_impossible_options_does_not_stop_other_studies(monkeypatch, target, message):
+    spec = PluginSpec("filter", "theirs", f"{__name__}:{target}")
+    monkeypatch.setitem(registry()._plugins, ("filter", "theirs"), Registered(spec, "tests"))
+    monkeypatch.setattr(ConfigStore.instance(), "repo", copy.deepcopy(ConfigStore.instance().repo))
+    assert study().filter["name"] == "etkf"
+    with pytest.raises(DafwError, match=message):
+        study("filter=theirs")
 
 
 def test_a_model_of_another_kind_brings_the_experiments_that_have_it(files):

@@ -1,12 +1,12 @@
 """Options of plugins: typed, ranged, nested; refused with what is accepted."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, make_dataclass
 from typing import Any
 
 import pytest
 
-from dafw import ConfigurationError, OptionError, option
-from dafw.core.options import build, describe
+from dafw import REQUIRED, ConfigurationError, OptionError, option
+from dafw.core.options import build, describe, schema
 
 
 @dataclass
@@ -78,7 +78,51 @@ def test_options_are_described_with_dotted_names():
     described = {entry.name: entry for entry in describe(Options)}
     assert described["nested.size"].help == "a size"
     assert described["limits"].type == "list[float] | None"
-    assert describe(Required)[0].default == "(required)"
+    assert describe(Required)[0].default is REQUIRED
+
+
+def test_ranges_are_described_in_words_and_as_plain_values():
+    described = {entry.name: entry for entry in describe(Options)}
+    assert described["nested.size"].accepted == "above 0" and described["mode"].accepted == "one of slow, fast"
+    assert described["count"].plain() == {
+        "required": False,
+        "name": "count",
+        "type": "int",
+        "default": 3,
+        "help": "a count",
+        "minimum": 1,
+    }
+    assert described["limits"].plain()["default"] is None and described["mode"].plain()["choices"] == ["slow", "fast"]
+    assert describe(Required)[0].plain() == {"required": True, "name": "value", "type": "int", "help": ""}
+
+
+@pytest.mark.parametrize(
+    ("hint", "default", "message"),
+    [
+        (float, option(None, ""), "Wrong: option 'gain' must be of type float, got None, its own default"),
+        (float, option(0.5, "", minimum=1.0), "'gain' must be at least 1.0, got 0.5, its own default"),
+        (str, option("c", "", choices=("a", "b")), "'gain' must be one of a, b; got 'c', its own default"),
+        (float, option(float("inf"), ""), "the default of option 'gain' is no plain value, but inf"),
+        (Any, option({"a": object()}, ""), "the default of option 'gain' is no plain value"),
+    ],
+)
+def test_a_default_is_held_to_what_a_given_value_is(hint, default, message):
+    wrong = make_dataclass("Wrong", [("gain", hint, default)])
+    for ask in (describe, schema):
+        with pytest.raises(OptionError, match=message):
+            ask(wrong)
+    with pytest.raises(OptionError, match="gain"):
+        build(wrong, {}, "filter 'wrong'")
+
+
+def test_a_default_is_converted_as_a_given_value_is():
+    assert build(make_dataclass("Whole", [("gain", float, option(1, ""))]), {}, "x").gain.hex() == (1.0).hex()
+
+
+def test_nested_defaults_are_made_anew():
+    nested = make_dataclass("Nested", [("places", list[list[float]], option([[1.0]], ""))])
+    build(nested, {}, "x").places[0].append(2.0)
+    assert build(nested, {}, "x").places == [[1.0]]
 
 
 def test_a_subclass_with_options_of_its_own_must_be_a_dataclass_itself():

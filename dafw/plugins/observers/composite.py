@@ -10,7 +10,7 @@ from dafw.core.ensemble import Route
 from dafw.core.errors import ConfigurationError
 from dafw.core.interfaces import Observer
 from dafw.core.observation import ObservationOperator, stack
-from dafw.core.options import option
+from dafw.core.options import REQUIRED, option
 from dafw.core.registry import registry
 from dafw.core.space import StateSpace
 
@@ -19,7 +19,9 @@ from dafw.core.space import StateSpace
 class Composite(Observer):
     """A drone and stations, say."""
 
-    parts: dict[str, Any] = option({}, "the observers by a name of your own, each a mapping with its name and options")
+    parts: dict[str, Any] = option(
+        REQUIRED, "the observers by a name of your own, each a mapping with its name and options"
+    )
 
     @classmethod
     def check_options(cls) -> Mapping[str, Any]:

@@ -12,7 +12,7 @@ from dafw.core.ensemble import Route
 from dafw.core.errors import ConfigurationError
 from dafw.core.interfaces import Observer
 from dafw.core.observation import ObservationOperator
-from dafw.core.options import option
+from dafw.core.options import REQUIRED, option
 from dafw.core.space import StateSpace
 from dafw.plugins.observers.nodes import read_nodes
 from dafw.plugins.observers.schedule import is_due, require_steps
@@ -22,7 +22,7 @@ from dafw.plugins.observers.schedule import is_due, require_steps
 class Stations(Observer):
     """Sensors on poles."""
 
-    positions: list[list[float]] = option([], "places of the stations, [[x, y], ...] in metres")
+    positions: list[list[float]] = option(REQUIRED, "places of the stations, [[x, y], ...] in metres")
     every: float = option(1.0, "seconds from one reading to the next, the first at the start", above=0.0)
     variable: str = option("concentration", "state variable that is read; it needs coordinates")
     noise_sd: float = option(1e-3, "standard deviation of the readings' noise", above=0.0)
