@@ -9,8 +9,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from dafw.core.ensemble import Diagnostic, Diagnostics
-from dafw.core.errors import ContractError, DivergenceError
-from dafw.core.space import Array, StateSpace
+from dafw.core.errors import ConfigurationError, ContractError, DivergenceError
+from dafw.core.space import Array, StateSpace, Variable
 
 SENSELESS = 1e3
 """So many times what its variable calls plausible, a number has left all sense."""
@@ -36,6 +36,20 @@ class Plugin:
     def label(self) -> str:
         """The plugin as messages name it: ``filter 'etkf'``."""
         return f"{self.kind} '{self.name or type(self).__name__}'"
+
+    def require_variable(self, space: StateSpace, name: str) -> Variable:
+        """Return the state variable ``name``; raises ConfigurationError that names the plugin."""
+        try:
+            return space[name]
+        except ConfigurationError as error:
+            raise ConfigurationError(f"{self.label}: {error}") from error
+
+    def require_places(self, space: StateSpace, name: str) -> Array:
+        """Return where the numbers of a state variable are, (M, 2) in metres; raises ConfigurationError."""
+        coordinates = self.require_variable(space, name).coordinates
+        if coordinates is None or coordinates.shape[1] != 2:
+            raise ConfigurationError(f"{self.label}: the variable '{name}' has no coordinates in the plane")
+        return coordinates
 
     def checked(self, array: Any, shape: tuple[int, ...], what: str) -> Array:
         """Return ``array`` as float64 of ``shape`` and finite, or raise ContractError with the plugin's name."""

@@ -45,6 +45,10 @@ class Drone(Observer):
     noise_sd: float = option(1e-3, "standard deviation of the readings' noise", above=0.0)
     assumed_variance: float | None = option(None, "variance that the filter is told; null: noise_sd squared", above=0.0)
 
+    def suit(self, space: StateSpace, dt: float) -> None:
+        """Raise ConfigurationError where the variable is not there or has no coordinates in the plane."""
+        self.require_places(space, self.variable)
+
     def operator(self, space: StateSpace, route: Route, t: float) -> ObservationOperator:
         """Return the readings of all vehicles on this leg."""
         points = [along(path, self.samples) for path in route.paths]

@@ -32,8 +32,10 @@ class Grid(Observer):
     _made: tuple[StateSpace, Selection] | None = field(default=None, init=False, repr=False, compare=False)
 
     def suit(self, space: StateSpace, dt: float) -> None:
-        """Raise ConfigurationError where ``every`` is no multiple of the time step."""
+        """Raise ConfigurationError where the variable is not there or ``every`` no multiple of the time step."""
         require_steps(self.every, dt, self.label)
+        if self.variable is not None:
+            self.require_variable(space, self.variable)
 
     def operator(self, space: StateSpace, route: Route, t: float) -> ObservationOperator:
         """Return the readings due in this step: all, or none. Raises ConfigurationError for an entry there is not."""

@@ -38,13 +38,11 @@ class Stations(Observer):
             raise ConfigurationError(f"observer 'stations': positions must be [[x, y], ...], got {self.positions}")
 
     def suit(self, space: StateSpace, dt: float) -> None:
-        """Raise ConfigurationError where a station is outside the nodes' bounds or ``every`` no multiple of dt."""
+        """Raise ConfigurationError for a variable without places, a station outside, an ``every`` no multiple of dt."""
         require_steps(self.every, dt, self.label)
-        nodes = space[self.variable].coordinates
+        nodes = self.require_places(space, self.variable)
         if not self.positions:
             raise ConfigurationError(f"{self.label}: positions must name at least one place")
-        if nodes is None:
-            return
         lowest, highest = nodes.min(axis=0), nodes.max(axis=0)
         for position in self.positions:
             if np.any(position < lowest) or np.any(position > highest):

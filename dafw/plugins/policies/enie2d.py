@@ -74,18 +74,13 @@ class EnIE2D(Policy):
 
     def suit(self, space: StateSpace) -> None:
         """Raise ConfigurationError where the variable is not there or has no coordinates in the plane."""
-        self._coordinates(space)
-
-    def _coordinates(self, space: StateSpace) -> Array:
-        """Return where the variable's numbers are, (M, 2) in metres."""
-        coordinates = space[self.variable].coordinates
-        if coordinates is None or coordinates.shape[1] != 2:
-            raise ConfigurationError(f"{self.label}: the variable '{self.variable}' has no coordinates in the plane")
-        return coordinates
+        self.require_places(space, self.variable)
 
     def decide(self, belief: Ensemble, vehicle: Vehicle, rng: np.random.Generator) -> Route:
         """Return one straight leg for each vehicle, decided by itself."""
-        coordinates = self._coordinates(belief.space)
+        if not len(vehicle.positions):
+            return Route(())
+        coordinates = self.require_places(belief.space, self.variable)
         part = belief.space.slice(self.variable)
         mean = belief.mean[part]
         variance = belief.variance[part] if len(belief) > 1 else np.zeros_like(mean)

@@ -1,0 +1,106 @@
+"""Every combination of built-in parts: it runs to its end, or it is refused in one line before anything is computed."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import pytest
+
+from dafw import RequestError
+from dafw.core.experiment import study_from
+from dafw.core.registry import registry
+from dafw.core.runs import open_run
+from dafw.studies.running import run_study
+
+KINDS = ("model", "observer", "policy", "filter")
+CYCLES, MEMBERS = 3, 6
+
+SMALL = {
+    "linear_advection": {"cells": 5, "waves": 1},
+    "lorenz96": {"size": 5, "spinup": 10},
+}
+"""Options beside those under which ``dafw check`` makes a model (the flagship's has 200 nodes): fewer numbers than
+members."""
+
+READS = {"linear_advection": "u", "lorenz96": "x"}
+"""What observers and policies look at where that is not the concentration."""
+
+PLACES = "no coordinates in the plane"
+MISFITS = {
+    ("model", "observer"): {
+        (model, observer): PLACES  # numbers on a circle: nothing to fly to, nowhere to stand
+        for model in ("linear_advection", "lorenz96")
+        for observer in ("drone", "stations", "composite")
+    },
+    ("model", "policy"): {(model, "enie2d"): PLACES for model in ("linear_advection", "lorenz96")},
+    ("model", "filter"): {(model, "kalman"): "filter 'kalman'" for model in ("ad", "ad_ins")},  # bounded; N < n
+}
+"""What does not fit together, and what the refusal says."""
+
+
+def built_in(kind):
+    """Return the names of dafw's own plugins of a kind."""
+    return [r.spec.name for r in registry().plugins() if r.spec.kind == kind and r.spec.target.startswith("dafw.")]
+
+
+def options(kind, name, variable):
+    """Return the configuration of a part that looks at ``variable``."""
+    made = {"name": name, **registry().plugin_class(kind, name).check_options()}
+    if name == "stations":
+        made["positions"] = [[-6.0, -30.0]]
+        made["every"] = 1.0
+    if name == "composite":
+        made["parts"] = {part: options("observer", part, variable) for part in ("drone", "stations")}
+    if kind != "model" and any(o.name == "variable" for o in registry().options(kind, name)):
+        made["variable"] = variable
+    return made
+
+
+COMBINATIONS = list(product(*map(built_in, KINDS)))
+
+
+@pytest.mark.parametrize("names", COMBINATIONS, ids="-".join)
+def test_a_combination_runs_or_is_refused(names, tmp_path):
+    parts = dict(zip(KINDS, names, strict=True))
+    variable = READS.get(parts["model"], "concentration")
+    configuration = {kind: options(kind, name, variable) for kind, name in parts.items()}
+    configuration["model"] |= SMALL.get(parts["model"], {})
+    start = [[-6.0, -20.0]] if variable == "concentration" else []
+    reasons = [
+        MISFITS[kinds][parts[kinds[0]], parts[kinds[1]]]
+        for kinds in MISFITS
+        if (parts[kinds[0]], parts[kinds[1]]) in MISFITS[kinds]
+    ]
+    configuration |= {"members": MEMBERS, "cycles": CYCLES, "vehicle": {"start": start}, "pictures": False}
+    folder = tmp_path / "run"
+    if reasons:
+        with pytest.raises(RequestError) as refusal:
+            run_study(study_from(configuration), folder)
+        assert "\n" not in str(refusal.value) and any(reason in str(refusal.value) for reason in reasons)
+        assert not folder.exists()
+    else:
+        assert run_study(study_from(configuration), folder)["status"] == "complete"
+        with open_run(folder) as run:
+            assert run.sizes["time"] == CYCLES + 1 and run["err"].notnull().all()
+
+
+@pytest.mark.parametrize("policy", built_in("policy"))
+def test_a_study_needs_no_vehicle(policy, tmp_path):
+    configuration = {
+        kind: options(kind, name, "concentration")
+        for kind, name in zip(KINDS, ("ad", "drone", policy, "etkf"), strict=True)
+    }
+    study = study_from(configuration | {"members": MEMBERS, "cycles": CYCLES, "pictures": False})
+    assert run_study(study, tmp_path / "run")["status"] == "complete"
+
+
+def test_the_exceptions_are_few_and_about_parts_that_there_are():
+    for kinds, pairs in MISFITS.items():
+        for pair in pairs:
+            assert all(name in built_in(kind) for kind, name in zip(kinds, pair, strict=True))
+    fitting = [
+        names
+        for names in COMBINATIONS
+        if not any((names[KINDS.index(a)], names[KINDS.index(b)]) in MISFITS[a, b] for a, b in MISFITS)
+    ]
+    assert len(fitting) >= len(COMBINATIONS) // 3
