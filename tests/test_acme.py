@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 from fresh import ROOT, environment
 
+from dafw import open_run
+
 ACME = ("acme_rod", "acme_cooling", "acme_solver", "acme_probe", "acme_patrol", "acme_nudging")
 
 
@@ -48,6 +50,13 @@ def test_acmes_experiment_mixes_its_parts_with_built_in_ones(tmp_path):
     folder = Path(done.stdout.splitlines()[-1])
     summary = json.loads((folder / "summary.json").read_text())
     assert summary["status"] == "complete" and summary["err_final"] < summary["err_free_final"]
+    assert summary["parts"]["model"] == summary["parts"]["truth"] == "acme_rod"
+    assert (summary["parts"]["observer"], summary["parts"]["filter"]) == ("acme_probe", "etkf")
+    assert summary["versions"]["acme"] == "1.0" and {"dafw", "python", "numpy"} <= set(summary["versions"])
+    with open_run(folder) as run:
+        assert {name: json.loads(run.attrs[name]) for name in ("parts", "versions")} == {
+            name: summary[name] for name in ("parts", "versions")
+        }
     shown = environment().run("dafw", "run", "experiment=acme_rod", "filter=acme_nudging", "--cfg", "job", cwd=tmp_path)
     assert "filter:\n  name: acme_nudging\n  strength: 0.3\n" in shown.stdout
     assert "observer:\n  name: acme_probe\n  every: 2\n" in shown.stdout

@@ -11,7 +11,7 @@ import importlib
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, fields, is_dataclass
 from functools import cache
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint, entry_points, packages_distributions, version
 from typing import Any
 
 import pluggy
@@ -58,10 +58,13 @@ class Registry:
         self._manager = pluggy.PluginManager(GROUP)
         self._manager.add_hookspecs(hookspecs)
         self._plugins: dict[tuple[str, str], Registered] = {}
+        self._versions: dict[str, str] = {}
         self.problems: list[Problem] = []
         # dafw's own package first, the others by name: an outsider never takes a built-in's name.
         for entry in sorted(packages, key=lambda entry: (entry.value != "dafw.plugins", entry.name)):
             package = f"{entry.dist.name if entry.dist else entry.value} ({entry.value})"
+            if entry.dist is not None:
+                self._versions[entry.dist.name] = entry.dist.version
             try:
                 self._add_package(entry.load(), package)
             except PluginError as error:
@@ -178,11 +181,38 @@ class Registry:
 
         That is the name and the dataclass fields that its maker may set.
         """
-        target = f"{type(plugin).__module__}:{type(plugin).__qualname__}"
-        for (kind, name), registered in self._plugins.items():
-            if kind == plugin.kind and registered.spec.target == target and is_dataclass(plugin):
-                return {"name": name, **{f.name: _plain(getattr(plugin, f.name)) for f in fields(plugin) if f.init}}
-        return None
+        name = self._registered_name(plugin)
+        if name is None or not is_dataclass(plugin):
+            return None
+        return {"name": name, **{f.name: _plain(getattr(plugin, f.name)) for f in fields(plugin) if f.init}}
+
+    def _registered_name(self, plugin: Plugin) -> str | None:
+        target = _target(plugin)
+        names = (n for (kind, n), one in self._plugins.items() if kind == plugin.kind and one.spec.target == target)
+        return next(names, None)
+
+    def parts(self, plugins: Mapping[str, Plugin]) -> dict[str, str]:
+        """Return the registered name of each plugin by its role, or where its class is: ``package.module:Class``."""
+        return {role: self._registered_name(plugin) or _target(plugin) for role, plugin in plugins.items()}
+
+    def versions(self, plugins: Iterable[Plugin] = ()) -> dict[str, str]:
+        """Return the versions of all packages that registered something, and of those whose classes are used."""
+        found = dict(self._versions)
+        for plugin in plugins:
+            if self._registered_name(plugin) is None:
+                for name in _distributions().get(type(plugin).__module__.partition(".")[0], ()):
+                    found[name] = version(name)
+        return dict(sorted(found.items()))
+
+
+@cache
+def _distributions() -> Mapping[str, list[str]]:
+    """Return the installed distributions by the packages that they brought."""
+    return packages_distributions()
+
+
+def _target(plugin: Plugin) -> str:
+    return f"{type(plugin).__module__}:{type(plugin).__qualname__}"
 
 
 def _plain(value: Any) -> Any:

@@ -16,7 +16,7 @@ from dafw.core.cycle import Cycle, Parts, State
 from dafw.core.registry import registry
 from dafw.core.study import Study
 
-VERSIONED = ("dafw", "numpy", "scipy", "dolfinx-solver-real", "gmsh", "netcdf4", "xarray", "hydra-core")
+VERSIONED = ("numpy", "scipy", "dolfinx-solver-real", "gmsh", "netcdf4", "xarray", "hydra-core")
 
 
 class Summary:
@@ -29,6 +29,7 @@ class Summary:
         self.warned: set[str] = set()
         self.diverged_at: float | None = None
         self.pinned: dict[str, Mapping[str, Any]] = {}
+        self._versions = _versions(study)
         self._seconds: dict[str, float] = {}
         self._scores: dict[str, float] = {}
         self._parameters: dict[str, dict[str, float | None]] = {}
@@ -90,6 +91,7 @@ class Summary:
             "name": study.name,
             "seed": study.seed,
             "members": study.members,
+            "parts": registry().parts(study.parts_by_role),
             "executor": registry().recipe(study.executor) or {"name": type(study.executor).__name__},
             "processes": self.processes,
             "cycles": self.cycles,
@@ -103,7 +105,7 @@ class Summary:
             "wall_seconds": round(perf_counter() - self.begun, 3),
             "pinned": self.pinned,
             "phase_seconds": {phase: round(seconds, 4) for phase, seconds in self._seconds.items()},
-            "versions": _versions(),
+            "versions": self._versions,
         }
         return summary | ({"error": self.error} if self.error else {})
 
@@ -119,6 +121,8 @@ def file_attributes(study: Study, pinned: Mapping[str, Mapping[str, Any]]) -> di
         "name": study.name,
         "seed": study.seed,
         "dafw_version": version("dafw"),
+        "parts": json.dumps(registry().parts(study.parts_by_role)),
+        "versions": json.dumps(_versions(study)),
         **{f"{role}_pinned": json.dumps(options) for role, options in pinned.items()},
     }
 
@@ -127,14 +131,15 @@ def _finite(value: float | None) -> float | None:
     return value if value is not None and math.isfinite(value) else None
 
 
-def _versions() -> dict[str, str]:
-    found = {"python": platform.python_version()}
+def _versions(study: Study) -> dict[str, str]:
+    """Return the versions of Python, of the libraries that matter and of every package of plugins."""
+    found = {"dafw": version("dafw"), "python": platform.python_version()}
     for name in VERSIONED:
         try:
             found[name] = version(name)
         except PackageNotFoundError:
             continue
-    return found
+    return found | registry().versions(study.parts_by_role.values())
 
 
 def _parameters(parts: Parts, state: State) -> dict[str, dict[str, float | None]]:

@@ -3,12 +3,18 @@
 import sys
 import types
 from dataclasses import dataclass, field
-from importlib.metadata import entry_points
+from importlib.metadata import entry_points, version
 
 import pytest
 
 from dafw import Filter, OptionError, PluginError, PluginSpec, hookimpl
-from dafw.core.registry import Registry
+from dafw.core.registry import Registry, _distributions
+
+
+@dataclass
+class Toy(Filter):
+    """A class that no package has registered."""
+
 
 BUILT_IN = list(entry_points(group="dafw", name="builtin"))
 
@@ -131,3 +137,25 @@ def test_names_and_options_are_suggested():
         registry.create("filter", {"name": "etkf", "inflatoin": 1})
     with pytest.raises(PluginError, match="a filter needs a name"):
         registry.create("filter", {"inflation": 1})
+
+
+def test_parts_are_named_as_registered_or_by_their_class():
+    registry = Registry(BUILT_IN)
+    parts = {"filter": registry.create("filter", {"name": "etkf"}), "truth": Toy()}
+    assert registry.parts(parts) == {"filter": "etkf", "truth": f"{Toy.__module__}:Toy"}
+
+
+def test_versions_are_those_of_every_package_of_plugins(tmp_path, monkeypatch):
+    registry = Registry(entry_points(group="dafw"))
+    assert registry.versions()["dafw"] == version("dafw")
+    about = tmp_path / "theirs-2.5.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: theirs\nVersion: 2.5\n")
+    (about / "top_level.txt").write_text("their_module\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(Toy, "__module__", "their_module.models")
+    _distributions.cache_clear()
+    try:
+        assert registry.versions([Toy()])["theirs"] == "2.5"
+    finally:
+        _distributions.cache_clear()
