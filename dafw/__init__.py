@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from dafw.core.observation import Interpolation, Observation, ObservationOperator, Selection, colour, whiten
     from dafw.core.options import REQUIRED, option
     from dafw.core.runs import open_run
-    from dafw.core.space import ANGLE, FIELD, NONNEGATIVE, StateSpace, Variable
+    from dafw.core.space import ANGLE, FIELD, NONNEGATIVE, POSITIVE, StateSpace, Variable
     from dafw.core.study import Study
     from dafw.core.window import Outlook, PastCycle, Window
     from dafw.studies.running import run
@@ -70,7 +70,7 @@ _HOMES = {
     "dafw.core.runs": ("open_run",),
     "dafw.core.study": ("Study",),
     "dafw.core.window": ("Outlook", "PastCycle", "Window"),
-    "dafw.core.space": ("ANGLE", "FIELD", "NONNEGATIVE", "StateSpace", "Variable"),
+    "dafw.core.space": ("ANGLE", "FIELD", "NONNEGATIVE", "POSITIVE", "StateSpace", "Variable"),
     "dafw.authoring.function": ("model_from_function",),
     "dafw.authoring.program": ("ProgramModel",),
     "dafw.studies.running": ("run",),
@@ -81,6 +81,7 @@ __all__ = [
     "ANGLE",
     "FIELD",
     "NONNEGATIVE",
+    "POSITIVE",
     "REQUIRED",
     "Analysis",
     "Batch",

@@ -133,6 +133,8 @@ def _require_in_set(model: Model, members: Array) -> None:
         values = members[:, model.space.slice(variable.name)]
         if variable.kind is Kind.NONNEGATIVE:
             require(values.min() >= 0.0, f"'{variable.name}' is nonnegative, but {values.min():.3g} occurs")
+        if variable.kind is Kind.POSITIVE:
+            require(values.min() > 0.0, f"'{variable.name}' is positive, but {values.min():.3g} occurs")
         if variable.kind is Kind.ANGLE:
             outside = values[(values < 0.0) | (values >= 2.0 * np.pi)]
             require(outside.size == 0, f"the angle '{variable.name}' lies in [0, 2 pi), but {outside[:1]} occurs")

@@ -22,7 +22,12 @@ from dafw.core.ugrid import write_domain
 CHUNK_NUMBERS = 4096
 USES = ("used", "used_in_window", "dropped")
 """What became of a reading: used at the end of its row's cycle, late but within the filter's window, or not at all."""
-KIND_NOTES = {Kind.FIELD: "", Kind.NONNEGATIVE: "nonnegative", Kind.ANGLE: "angle in [0, 2 pi)"}
+KIND_NOTES = {
+    Kind.FIELD: "",
+    Kind.NONNEGATIVE: "nonnegative",
+    Kind.POSITIVE: "positive: means are geometric, spreads are of the natural logarithm",
+    Kind.ANGLE: "angle in [0, 2 pi)",
+}
 STAGES = {
     "truth": "truth",
     "free": "free run",

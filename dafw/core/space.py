@@ -9,8 +9,11 @@ kind                    mean                            difference a - b        
 ======================  ==============================  ===================================  =====================
 ``FIELD``               arithmetic                      a - b                                x + dx
 ``NONNEGATIVE``         arithmetic                      a - b                                max(0, x + dx)
+``POSITIVE``            geometric                       log a - log b                        x exp(dx)
 ``ANGLE`` (radians)     circular, in [0, 2 pi)          wrapped to [-pi, pi)                 (x + dx) mod 2 pi
 ======================  ==============================  ===================================  =====================
+
+A positive variable moves in its logarithm: zero is never reached, and spread and errors of it are relative.
 """
 
 from __future__ import annotations
@@ -37,10 +40,11 @@ class Kind(Enum):
 
     FIELD = "field"
     NONNEGATIVE = "nonnegative"
+    POSITIVE = "positive"
     ANGLE = "angle"
 
 
-FIELD, NONNEGATIVE, ANGLE = Kind.FIELD, Kind.NONNEGATIVE, Kind.ANGLE
+FIELD, NONNEGATIVE, POSITIVE, ANGLE = Kind.FIELD, Kind.NONNEGATIVE, Kind.POSITIVE, Kind.ANGLE
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,6 +115,7 @@ class StateSpace:
             raise ConfigurationError("a state space needs at least one variable")
         self.size = start
         self._nonnegative = [self._slices[v.name] for v in self.variables if v.kind is NONNEGATIVE]
+        self._positive = [self._slices[v.name] for v in self.variables if v.kind is POSITIVE]
         self._angles = [self._slices[v.name] for v in self.variables if v.kind is ANGLE]
         self._bounded = [(self._slices[v.name], v.plausible) for v in self.variables if v.plausible < np.inf]
 
@@ -155,23 +160,35 @@ class StateSpace:
         return np.concatenate([np.broadcast_to(part, lead + part.shape[-1:]) for part in parts], axis=-1)
 
     def mean(self, members: Array, weights: Array | None = None) -> Array:
-        """Return the mean (n,) over the members (N, n), with ``weights`` (N,) where given; circular for angles."""
+        """Return the mean (n,) over the members (N, n), with ``weights`` (N,) where given.
+
+        Circular for angles, geometric for positive numbers.
+        """
         mean = _average(members, weights)
+        for part in self._positive:
+            mean[part] = np.exp(_average(np.log(members[:, part]), weights))
         for part in self._angles:
             angles = members[:, part]
             mean[part] = _modulo(np.arctan2(_average(np.sin(angles), weights), _average(np.cos(angles), weights)))
         return mean
 
     def difference(self, a: Array, b: Array) -> Array:
-        """Return a - b (..., n); angles wrapped to [-pi, pi)."""
+        """Return a - b (..., n); angles wrapped to [-pi, pi), positive numbers in their logarithms."""
         difference: Array = np.subtract(a, b)
+        for part in self._positive:
+            difference[..., part] = np.log(np.asarray(a)[..., part]) - np.log(np.asarray(b)[..., part])
         for part in self._angles:
             difference[..., part] = _modulo(difference[..., part] + np.pi) - np.pi
         return difference
 
     def retract(self, x: Array, dx: Array) -> Array:
-        """Return x + dx (..., n), brought back into the set: nonnegative values clamped, angles mod 2 pi."""
+        """Return x + dx (..., n), brought back into the set.
+
+        Nonnegative numbers are clamped, positive ones multiplied by exp(dx), angles taken mod 2 pi.
+        """
         moved: Array = np.add(x, dx)
+        for part in self._positive:
+            moved[..., part] = np.asarray(x)[..., part] * np.exp(np.asarray(dx)[..., part])
         for part in self._nonnegative:
             np.maximum(moved[..., part], 0.0, out=moved[..., part])
         for part in self._angles:
