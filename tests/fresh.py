@@ -14,6 +14,8 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
+from waiting import PATIENCE
+
 ROOT = Path(__file__).resolve().parent.parent
 
 
@@ -35,7 +37,7 @@ class Environment:
         if path is not None:
             surroundings["PYTHONPATH"] = str(path)
         command = [str(self.bin / words[0]), *map(str, words[1:])] if words[0] != "sh" else [str(w) for w in words]
-        return subprocess.run(command, cwd=cwd, env=surroundings, capture_output=True, text=True, timeout=120)
+        return subprocess.run(command, cwd=cwd, env=surroundings, capture_output=True, text=True, timeout=PATIENCE)
 
 
 @cache
@@ -45,7 +47,7 @@ def environment() -> Environment:
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     for source in (ROOT, ROOT / "tests" / "acme"):
         build = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder / "wheels")]
-        subprocess.run(build, cwd=source, check=True, capture_output=True, timeout=120)
+        subprocess.run(build, cwd=source, check=True, capture_output=True, timeout=PATIENCE)
     venv.create(folder / "environment", with_pip=True)
     fresh = Environment(folder / "environment" / "bin")
     site = fresh.run("python", "-c", "import sysconfig; print(sysconfig.get_path('purelib'))", cwd=folder)

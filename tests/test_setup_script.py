@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from waiting import PATIENCE
 
 from dafw.commands import doctor_findings
 
@@ -72,7 +73,7 @@ class World:
 
     def run(self, *arguments: str, cwd: Path | None = None, **variables: str) -> tuple[int, str, str]:
         process = self.start(*arguments, cwd=cwd, **variables)
-        out, err = process.communicate(timeout=60)
+        out, err = process.communicate(timeout=PATIENCE)
         return process.returncode, out, err
 
     def calls(self, word: str) -> int:
@@ -144,9 +145,12 @@ def test_an_interrupted_set_up_is_started_over(world):
 
 @pytest.mark.skipif(shutil.which("flock") is None, reason="without flock(1) set-ups do not wait for each other")
 def test_of_two_at_once_one_sets_up_and_the_other_waits(world):
-    world.command("uv", UV + "sleep 0.1")
+    # uv waits for the third call: the second set-up found the lock taken and asked for it once more.
+    (world.bin / "flock").unlink()
+    world.command("flock", f'echo >>"$LOG.flock"; exec {shutil.which("flock")} "$@"')
+    world.command("uv", UV + 'until [ "$(sed -n "$=" "$LOG.flock")" -ge 3 ]; do sleep 0.01; done')
     both = [world.start("echo", "done") for _ in range(2)]
-    assert [process.communicate(timeout=60)[0] for process in both] == ["done\n"] * 2
+    assert [process.communicate(timeout=PATIENCE)[0] for process in both] == ["done\n"] * 2
     assert world.calls("uv venv") == 1
 
 

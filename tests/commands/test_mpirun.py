@@ -5,6 +5,7 @@ import subprocess
 import sys
 
 import pytest
+from waiting import PATIENCE
 
 from dafw.commands import main, mpirun
 from dafw.commands.mpirun import ALONE, Launch, launched
@@ -77,7 +78,7 @@ def asked(code, argument):
         check=True,
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=PATIENCE,
     ).stdout
 
 

@@ -31,8 +31,10 @@ def killed_once(marker, number):
     return outcome("errands", lambda: number)
 
 
-def slow(seconds):
+def slow(seconds, marker=None):
     time.sleep(seconds)
+    if marker:
+        Path(marker).touch()
     return outcome("errands", os.getpid)
 
 

@@ -13,13 +13,13 @@ from dafw.core import making as module
 from dafw.core.making import alive, making
 
 MAKER = """
-import sys, time
+import sys
 from pathlib import Path
 from dafw.core.making import making
 with making(Path(sys.argv[1])) as folder:
     (folder / "half").touch()
     print(folder, flush=True)
-    time.sleep(60)
+    sys.stdin.read()
 """
 
 
@@ -27,7 +27,7 @@ with making(Path(sys.argv[1])) as folder:
 def maker(tmp_path):
     """A process that is making something in the folder ``deeper``, and what it works in."""
     command = [sys.executable, "-c", MAKER, str(tmp_path / "deeper")]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         yield process, tmp_path.joinpath(process.stdout.readline().strip())
         process.kill()
 

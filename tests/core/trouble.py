@@ -20,7 +20,7 @@ class Trouble(Model):
     """Members know their number (state 0) and walk at random (states 1 and 2), remembering how far they went."""
 
     kind_of: str = option("none", "what goes wrong at t = 1 s with member 3")
-    marker: str = option("", "file that says that it went wrong once already")
+    marker: str = option("", "file that says that it went wrong once already, or has slept enough")
     dt: float = 1.0
 
     space = StateSpace([Variable("number", 1), Variable("place", 2)])
@@ -55,7 +55,8 @@ class Trouble(Model):
         if self.kind_of == "breaks":
             raise ValueError("a leg is broken")
         if self.kind_of == "sleeps":
-            time.sleep(60.0)
+            time.sleep(600.0)
+            Path(self.marker).touch()
 
 
 @hookimpl

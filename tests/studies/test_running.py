@@ -1,16 +1,13 @@
 """Runs as their users see them: files, exit status, interruption, the last line of output."""
 
 import json
-import os
 import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import pytest
 import yaml
 from run_files import contents
+from waiting import HALT, go_on, halted
 
 import dafw
 from dafw.commands import main
@@ -201,39 +198,31 @@ def test_a_picture_that_cannot_be_drawn_does_not_spoil_the_run(folder, capsys, m
     )
 
 
-def background_run(folder, *more):
-    """Start a long run in another process and return it with its folder, a few cycles in."""
-    words = [sys.executable, "-m", "dafw", *RUN, "cycles=100000", *more]
-    process = subprocess.Popen(words, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    waited_until = time.monotonic() + 60
-    while time.monotonic() < waited_until and process.poll() is None:
-        for path in (folder / "outputs" / "quick").glob("*/run.log"):
-            if "t = " in path.read_text():
-                time.sleep(1.0)
-                return process, path.parent
-        time.sleep(0.1)
-    process.kill()
-    raise AssertionError(f"the run did not start: {process.communicate()}")
+def halting(folder):
+    """Start the quick study in another process, and give it where it waits in cycle HALT."""
+    words = ["-m", "dafw", *RUN, "policy=halting", f"policy.folder={folder / 'halt'}", "cycles=100000"]
+    return halted([*words, "hydra.run.dir=run"], folder)
 
 
 def test_a_killed_run_leaves_a_file_that_opens(folder):
-    process, path = background_run(folder)
-    with dafw.open_run(path) as run:
-        before = run.sizes["time"]
-    os.kill(process.pid, signal.SIGKILL)
-    process.communicate()
-    with dafw.open_run(path) as run:
-        assert run.sizes["time"] >= before > 1
-        assert run["err"][1:].notnull().all()
-    assert json.loads((path / "summary.json").read_text())["status"] == "interrupted"
+    with halting(folder) as process:
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    with dafw.open_run("run") as run:
+        assert run.sizes["time"] == HALT + 1
+        assert run["err"].notnull().all()
+    assert json.loads(Path("run", "summary.json").read_text())["status"] == "interrupted"
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_an_interrupted_run_ends_in_order(folder, number):
-    process, path = background_run(folder)
-    process.send_signal(number)
-    _, error = process.communicate(timeout=60)
-    assert process.returncode == 130 and "interrupted" in error and "Traceback" not in error
-    summary = json.loads((path / "summary.json").read_text())
-    with dafw.open_run(path) as run:
-        assert (summary["status"], summary["cycles"]) == ("interrupted", run.sizes["time"] - 1)
+    with halting(folder) as process:
+        process.send_signal(number)
+        go_on(folder)
+        _, error = process.communicate()
+    assert process.returncode == 130 and "Traceback" not in error
+    assert f"interrupted: {HALT + 1} of 100000 cycles are kept in" in error
+    summary = json.loads(Path("run", "summary.json").read_text())
+    assert (summary["status"], summary["cycles"]) == ("interrupted", HALT + 1)
+    with dafw.open_run("run") as run:
+        assert run.sizes["time"] == HALT + 2
