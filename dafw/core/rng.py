@@ -79,6 +79,7 @@ class MemberStreams:
         """Return ``one(generator)`` of every member, stacked on axis 0."""
         return np.stack([np.asarray(one(self[member])) for member in range(n_members)])
 
-    def standard_normal(self, shape: tuple[int, ...]) -> Array:
-        """Return standard normal numbers of ``shape`` (N, ...): row i is drawn from member i's own stream."""
+    def standard_normal(self, shape: int | tuple[int, ...]) -> Array:
+        """Return standard normal numbers of ``shape`` N or (N, ...): row i is drawn from member i's own stream."""
+        shape = (shape,) if isinstance(shape, int) else shape
         return self.draw(shape[0], lambda generator: generator.standard_normal(shape[1:]))

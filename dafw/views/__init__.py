@@ -7,6 +7,7 @@ that needs no display and no global state. Importing this package loads matplotl
 from __future__ import annotations
 
 from dafw.views.files import compare, draw_all, draw_runs
+from dafw.views.innovations import plot_innovations
 from dafw.views.maps import plot_contours, plot_route
 from dafw.views.section import plot_section
 from dafw.views.series import plot_errors, plot_parameters, plot_state
@@ -17,6 +18,7 @@ __all__ = [
     "draw_runs",
     "plot_contours",
     "plot_errors",
+    "plot_innovations",
     "plot_parameters",
     "plot_route",
     "plot_section",

@@ -22,18 +22,19 @@ def require(run: Dataset, purpose: str, *names: str) -> None:
 
 
 def scored_variable(run: Dataset) -> str:
-    """Return the name of the state variable that ERR measures, checked to be recorded; else raise RunError."""
+    """Return the name of the first state variable, which ERR measures, checked to be recorded; else raise RunError."""
     name = run.attrs.get("scored_variable")
     if name is None:
         raise RunError("not a run of dafw: the global attribute 'scored_variable' is missing")
-    require(run, "a picture of a run", "time", "err", "err_free", f"{name}_truth", f"{name}_free", f"{name}_mean")
+    require(run, "a picture of a run", "time", f"{name}_mean")
     return str(name)
 
 
 def scalar_variables(run: Dataset) -> list[str]:
     """Return the state variables of one number each (estimated parameters, the wind), in the order of the file."""
-    names = [str(name).removesuffix("_truth") for name, a in run.data_vars.items() if a.dims == ("time",)]
-    return [name for name in names if f"{name}_truth" in run and f"{name}_mean" in run]
+    names = [str(name).removesuffix("_mean") for name, a in run.data_vars.items() if a.dims == ("time",)]
+    # The mean of the innovations has neither a forecast nor a spread.
+    return [name for name in names if {f"{name}_mean", f"{name}_forecast_mean", f"{name}_spread"} <= set(run.data_vars)]
 
 
 def has_map(run: Dataset) -> bool:
@@ -43,9 +44,33 @@ def has_map(run: Dataset) -> bool:
     )
 
 
+def has_truth(run: Dataset) -> bool:
+    """Say whether there was a truth that the belief was compared with."""
+    return _holds_numbers(run, "err")
+
+
 def has_free_run(run: Dataset) -> bool:
-    """Say whether a free run was computed beside the belief; where not, its variables hold NaN."""
-    return bool(np.isfinite(run["err_free"].values).any())
+    """Say whether a free run was computed beside the belief."""
+    return _holds_numbers(run, f"{scored_variable(run)}_free")
+
+
+def has_innovations(run: Dataset) -> bool:
+    """Say whether there were readings that could be compared with what the belief expected of them."""
+    return _holds_numbers(run, "innovation_rms")
+
+
+def _holds_numbers(run: Dataset, name: str) -> bool:
+    """Say whether a variable is there and holds numbers; a file may have it with NaN in all places."""
+    return name in run.variables and bool(np.isfinite(run[name].values).any())
+
+
+def stage(run: Dataset, variable: str, name: str) -> np.ndarray | None:
+    """Return a state variable at a stage (``truth``, ``free``, ``smoothed_mean``); None where there is no such thing.
+
+    A truth of another kind than the model may lack some of the model's variables: they hold NaN.
+    """
+    full = f"{variable}_{name}"
+    return run[full].values if _holds_numbers(run, full) else None
 
 
 def has_section(run: Dataset) -> bool:
@@ -83,7 +108,7 @@ def landmark(run: Dataset, name: str) -> np.ndarray | None:
 
 def is_angle(run: Dataset, variable: str) -> bool:
     """Say whether a state variable is an angle in radians: averages and differences of it wrap."""
-    return run[f"{variable}_truth"].attrs.get("units") in ("rad", "radian", "radians")
+    return run[f"{variable}_mean"].attrs.get("units") in ("rad", "radian", "radians")
 
 
 def time_units(run: Dataset) -> str:
@@ -93,7 +118,7 @@ def time_units(run: Dataset) -> str:
 
 def label(run: Dataset, variable: str, units: str | None = None) -> str:
     """Return the axis label of a state variable: ``wind speed (m s⁻¹)``; no brackets where it has no dimension."""
-    units = str(run[f"{variable}_truth"].attrs.get("units", "")) if units is None else units
+    units = str(run[f"{variable}_mean"].attrs.get("units", "")) if units is None else units
     spoken = variable.replace("_", " ")
     if units in ("", "1"):
         return spoken

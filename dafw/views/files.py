@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,7 +12,8 @@ from matplotlib.figure import Figure
 from dafw.core.errors import RunError
 from dafw.core.files import whole_file
 from dafw.core.runs import open_run
-from dafw.views.contents import has_map, has_section, scalar_variables, scored_variable
+from dafw.views.contents import has_innovations, has_map, has_section, has_truth, scalar_variables, scored_variable
+from dafw.views.innovations import plot_innovations
 from dafw.views.maps import plot_contours, plot_route
 from dafw.views.section import plot_section
 from dafw.views.series import plot_errors, plot_parameters, plot_state
@@ -22,14 +24,19 @@ if TYPE_CHECKING:
 
 
 def draw_all(run: Dataset, folder: Path) -> list[Path]:
-    """Write every picture that this run has the content for and return the files, err.png first.
+    """Write every picture that this run has the content for and return the files.
 
-    A field on a mesh gives route.png, contours.png and (with a polyline) section.png; a state without coordinates
-    gives state.png; scalars of the state give parameters.png. Raises RunError where ``run`` is not a run of dafw.
+    A truth gives err.png, readings give innovations.png. A field on a mesh gives route.png, contours.png and (with a
+    polyline) section.png; a state without coordinates gives state.png; scalars of the state give parameters.png. Raises
+    RunError where ``run`` is not a run of dafw.
     """
     scored = run[f"{scored_variable(run)}_mean"]
     one = {"belief": run}
-    pictures: dict[str, Callable[[], Figure]] = {"err": lambda: plot_errors(one)}
+    pictures: dict[str, Callable[[], Figure]] = {}
+    if has_truth(run):
+        pictures["err"] = lambda: plot_errors(one)
+    if has_innovations(run):
+        pictures["innovations"] = lambda: plot_innovations(one)
     if has_map(run):
         pictures["route"] = lambda: plot_route(one)
         pictures["contours"] = lambda: plot_contours(run)
@@ -43,11 +50,25 @@ def draw_all(run: Dataset, folder: Path) -> list[Path]:
 
 
 def compare(runs: Mapping[str, Dataset], folder: Path) -> list[Path]:
-    """Write err.png of several runs in distinct colours, and route.png of those that have a map; return the files."""
-    files = [_save(plot_errors(runs), Path(folder) / "err.png")]
-    mapped = {text: run for text, run in runs.items() if has_map(run)}
-    if len(mapped) == len(runs):
-        files.append(_save(plot_route(mapped), Path(folder) / "route.png"))
+    """Write err.png and innovations.png of several runs, each in its colour, and route.png; return the files.
+
+    A run is left out of a picture that it has nothing for, which a line on standard error says; route.png is drawn
+    where all runs have a map. Raises RunError where nothing can be compared.
+    """
+    files = []
+    for name, draw, has_content, lacking in (
+        ("err", plot_errors, has_truth, "no truth"),
+        ("innovations", plot_innovations, has_innovations, "no readings"),
+        ("route", plot_route, has_map, "no map"),
+    ):
+        without = [text for text, run in runs.items() if not has_content(run)]
+        if not without or (name != "route" and len(without) < len(runs)):
+            files.append(_save(draw(runs), Path(folder) / f"{name}.png"))
+        if 0 < len(without) < len(runs):
+            what = "no route.png" if name == "route" else f"not in {name}.png"
+            print(f"dafw: {', '.join(without)}: {lacking}, so {what}", file=sys.stderr)
+    if not files:
+        raise RunError("the runs have nothing that can be compared: no truth, no readings, no map")
     return files
 
 

@@ -13,12 +13,12 @@ from matplotlib.lines import Line2D
 from dafw.core.errors import RunError
 from dafw.views.contents import (
     buildings,
-    has_free_run,
     has_map,
     label,
     landmark,
     polyline,
     scored_variable,
+    stage,
     time_units,
     triangulation,
 )
@@ -33,6 +33,7 @@ from dafw.views.style import (
     outside_legend,
     peak_at_end,
     run_style,
+    spread_scale,
 )
 
 if TYPE_CHECKING:
@@ -63,7 +64,7 @@ END: dict[str, Any] = {
 
 
 def plot_route(runs: Mapping[str, Dataset]) -> Figure:
-    """Draw where the vehicles of one or several runs flew and which nodes they read.
+    """Draw where the vehicles of one or several runs flew and where something was read.
 
     The background is the first run's analysis mean at its last time. Raises RunError where that is no field on a mesh.
     """
@@ -83,7 +84,7 @@ def plot_route(runs: Mapping[str, Dataset]) -> Figure:
     for index, (text, one) in enumerate(runs.items()):
         style = run_style(index, len(runs))
         _draw_route(axes, one, style)
-        entry = text if len(runs) > 1 else "route and visited nodes" if one.sizes.get("vehicle") else "visited nodes"
+        entry = text if len(runs) > 1 else "route and readings" if one.sizes.get("vehicle") else "readings"
         handles.append(Line2D([], [], **style, marker="o", markersize=4, label=entry))
     if (position := landmark(run, "release")) is not None:
         handles += axes.plot(*position, **RELEASE, zorder=4.5, label="release")
@@ -94,7 +95,7 @@ def plot_route(runs: Mapping[str, Dataset]) -> Figure:
     map_axes(axes, mesh.x, mesh.y)
     axes.set(xlabel="x (m)", ylabel="y (m)")
     whose = f" of {background_label}" if len(runs) > 1 else ""
-    axes.set_title(f"Visited nodes, over the belief{whose} at t = {_last_time(run)}", fontsize=11)
+    axes.set_title(f"Places of the readings, over the belief{whose} at t = {_last_time(run)}", fontsize=11)
     figure.colorbar(field, ax=axes, label=label(run, name), extend=scale.extend, pad=0.02)
     outside_legend(figure, handles, "lower")
     return figure
@@ -103,41 +104,58 @@ def plot_route(runs: Mapping[str, Dataset]) -> Figure:
 def plot_contours(run: Dataset) -> Figure:
     """Draw the truth at the start and at the end, the free run and the belief at the end, on one colour scale.
 
-    The polyline gamma of the section is drawn where the run has one. Raises RunError where the scored variable is no
-    field on a mesh.
+    Without a truth: the belief at the start and at the end, and its spread at the end, on a scale of its own. Without
+    a free run its panel is left out. The polyline gamma of the section is drawn where the run has one. Raises RunError
+    where the scored variable is no field on a mesh.
     """
     name = scored_variable(run)
     if not has_map(run):
         raise RunError(f"a contour picture needs a field on a mesh, which '{name}' of this run is not")
-    truth = run[f"{name}_truth"].values
-    end = _last_time(run)
-    panels = [
-        (f"Truth, t = {float(run['time'][0]):g} {time_units(run)}", truth[0]),
-        (f"Truth, t = {end}", truth[-1]),
-        (f"Free run, t = {end}{_error(run, 'err_free')}", run[f"{name}_free"].values[-1])
-        if has_free_run(run)
-        else ("No free run was computed", None),
-        (f"Belief, t = {end}{_error(run, 'err')}", run[f"{name}_mean"].values[-1]),
-    ]
-    mesh, outlines = triangulation(run), buildings(run)
-    scale = colour_scale(truth, peak_at_end(truth), *(values for _, values in panels if values is not None))
+    truth, free, belief = stage(run, name, "truth"), stage(run, name, "free"), run[f"{name}_mean"].values
+    begin, end = f"t = {float(run['time'][0]):g} {time_units(run)}", f"t = {_last_time(run)}"
+    reference = belief if truth is None else truth
+    what = "Belief" if truth is None else "Truth"
+    panels = {f"{what}, {begin}": reference[0], f"{what}, {end}": reference[-1]}
+    if free is not None:
+        panels[f"Free run, {end}{_error(run, 'err_free')}"] = free[-1]
+    if truth is not None:
+        panels[f"Belief, {end}{_error(run, 'err')}"] = belief[-1]
+    scale = colour_scale(reference, peak_at_end(reference), *panels.values())
+    scales = dict.fromkeys(panels, scale)
+    spread = stage(run, name, "spread") if truth is None else None
+    if spread is not None:
+        title = f"Spread of the belief, {end}"
+        panels[title], scales[title] = spread[-1], spread_scale(spread[-1])
 
-    figure = new_figure(9.6, 7.8 * _height_to_width(mesh) + 1.5, maps=True)
-    grid = figure.subplots(2, 2, sharex=True, sharey=True)
-    for axes, (title, values) in zip(grid.flat, panels, strict=True):
-        if values is not None:
-            field = _draw_field(axes, mesh, values, scale)
+    mesh, outlines = triangulation(run), buildings(run)
+    rows, columns = (2, 2) if len(panels) == 4 else (1, len(panels))
+    figure = new_figure(4.8 * columns, 3.9 * rows * _height_to_width(mesh) + 1.5, maps=True)
+    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    for axes, (title, values) in zip(grid.flat, panels.items(), strict=True):
+        field = _draw_field(axes, mesh, values, scales[title])
         draw_buildings(axes, outlines)
         handles = _draw_section(axes, run)
         if (position := landmark(run, "release")) is not None:
             handles += axes.plot(*position, **RELEASE | {"markersize": 6}, zorder=4, label="release")
         axes.set_title(title, fontsize=10.5)
         map_axes(axes, mesh.x, mesh.y)
+        if scales[title] is not scale:
+            beside = axes.inset_axes((1.03, 0.0, 0.04, 1.0))
+            figure.colorbar(field, cax=beside, label=f"standard deviation of {label(run, name)}")
     for axes in grid[-1]:
         axes.set_xlabel("x (m)")
     for axes in grid[:, 0]:
         axes.set_ylabel("y (m)")
-    figure.colorbar(field, ax=grid, label=label(run, name), extend=scale.extend, pad=0.02, aspect=32)
+    # Two colour bars on the same side would leave open which panels the outer one is about.
+    bar = figure.colorbar(
+        grid.flat[0].collections[0],
+        ax=grid,
+        location="right" if spread is None else "left",
+        extend=scale.extend,
+        pad=0.02,
+        aspect=16 * rows,
+    )
+    bar.set_label(label(run, name))
     if handles:
         outside_legend(figure, handles, "lower")
     return figure
@@ -182,4 +200,4 @@ def _last_time(run: Dataset) -> str:
 
 
 def _error(run: Dataset, score: str) -> str:
-    return f" (ERR {float(run[score][-1]):.0f} %)"
+    return f" (ERR {float(run[score][-1]):.0f} %)" if score in run.variables else ""

@@ -10,7 +10,7 @@ from matplotlib.patches import Patch
 from matplotlib.tri import Triangulation
 
 from dafw.core.errors import RunError
-from dafw.views.contents import has_free_run, has_section, label, polyline, scored_variable, time_units, triangulation
+from dafw.views.contents import has_section, label, polyline, scored_variable, stage, time_units, triangulation
 from dafw.views.style import BUILDING_FACE, colour_scale, new_figure, outside_legend
 
 if TYPE_CHECKING:
@@ -21,10 +21,10 @@ SAMPLES = 251
 
 
 def plot_section(run: Dataset) -> Figure:
-    """Draw the scored variable along gamma over time for truth, free run and belief, on one colour scale.
+    """Draw the scored variable along gamma over time for truth, free run and belief, where there are such.
 
-    Where gamma crosses a building or leaves the mesh there is nothing to draw: those rows are grey. Raises RunError
-    where the run has no section, no field on a mesh, or only one time.
+    They share one colour scale. Where gamma crosses a building or leaves the mesh there is nothing to draw: those rows
+    are grey. Raises RunError where the run has no section, no field on a mesh, or only one time.
     """
     name = scored_variable(run)
     if not has_section(run):
@@ -32,26 +32,25 @@ def plot_section(run: Dataset) -> Figure:
     arc_length, points = sample_polyline(polyline(run, "section"), SAMPLES)
     weights = SectionWeights(triangulation(run), points)
     stages = {"Truth": "truth", "Free run": "free", "Belief": "mean"}
-    if not has_free_run(run):
-        del stages["Free run"]
-    panels = {title: weights.apply(run[f"{name}_{stage}"].values) for title, stage in stages.items()}
-    truth = panels["Truth"]
-    if not np.isfinite(truth).any():
+    values = {title: stage(run, name, suffix) for title, suffix in stages.items()}
+    panels = {title: weights.apply(field) for title, field in values.items() if field is not None}
+    reference = panels.get("Truth", panels["Belief"])
+    if not np.isfinite(reference).any():
         raise RunError("the section lies outside the mesh or inside buildings: nothing to draw along it")
-    scale = colour_scale(truth, float(np.nanpercentile(truth, 99.9)), *panels.values())
+    scale = colour_scale(reference, float(np.nanpercentile(reference, 99.9)), *panels.values())
 
-    figure = new_figure(10.4, 3.9)
-    row = figure.subplots(1, len(panels), sharex=True, sharey=True)
-    for axes, (title, values) in zip(row, panels.items(), strict=True):
+    figure = new_figure(max(6.8, 1.4 + 3.0 * len(panels)), 3.9)
+    row = figure.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]
+    for axes, (title, along) in zip(row, panels.items(), strict=True):
         picture = axes.pcolormesh(
-            run["time"].values, arc_length, values.T, shading="nearest", rasterized=True, **scale.keywords
+            run["time"].values, arc_length, along.T, shading="nearest", rasterized=True, **scale.keywords
         )
         axes.set_facecolor(BUILDING_FACE)
         axes.set_title(title, fontsize=11)
         axes.set_xlabel(f"t ({time_units(run)})")
     row[0].set_ylabel("arc length s along γ (m)")
     figure.colorbar(picture, ax=row, label=label(run, name), extend=scale.extend, pad=0.02)
-    if not np.isfinite(truth).all():
+    if not np.isfinite(reference).all():
         outside_legend(figure, [Patch(color=BUILDING_FACE, label="inside a building or outside the mesh")], "lower")
     return figure
 

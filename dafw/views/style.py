@@ -19,7 +19,8 @@ from matplotlib.patheffects import Normal, Stroke
 RUN_COLOURS = ("#D55E00", "#009E73", "#0072B2", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """Red, green and blue first, as in the paper; Okabe and Ito's palette, doi:10.1038/nmeth.1618."""
 
-TRUTH_COLOUR, FREE_COLOUR, BELIEF_COLOUR, SECTION_COLOUR = "black", "#7A7A7A", "#0072B2", "#0050D0"
+TRUTH_COLOUR, FREE_COLOUR, BELIEF_COLOUR, REVISED_COLOUR = "black", "#7A7A7A", "#0072B2", "#D55E00"
+SECTION_COLOUR = "#0050D0"
 BUILDING_FACE, BUILDING_EDGE = "#C9CCD1", "#30343A"
 RESOLUTION = 130
 """Dots per inch."""
@@ -30,6 +31,9 @@ HALO = [Stroke(linewidth=3.5, foreground="white"), Normal()]
 _MAGMA = matplotlib.colormaps["magma_r"]
 CONCENTRATION = LinearSegmentedColormap.from_list(
     "concentration", np.vstack([np.ones(4), _MAGMA(np.linspace(0.06, 0.92, 12))])
+)
+SPREAD = LinearSegmentedColormap.from_list(
+    "spread", np.vstack([np.ones(4), matplotlib.colormaps["Greens"](np.linspace(0.1, 1.0, 12))])
 )
 
 
@@ -54,6 +58,17 @@ def outside_legend(figure: Figure, handles: Sequence[Artist], where: str) -> Non
     longest = max(len(str(handle.get_label())) for handle in handles)
     columns = max(1, min(6, round(14 * figure.get_figwidth()) // (longest + 5)))
     figure.legend(handles=handles, loc=f"outside {where} center", ncols=columns, frameon=False)
+
+
+def time_axis(axes: Axes, time: np.ndarray, units: str) -> None:
+    """Let curves over ``time`` (rows,) fill the width, on a light grid; without ``units`` the axis has no label."""
+    if time[-1] > time[0]:
+        axes.set_xlim(time[0], time[-1])
+    if units:
+        axes.set_xlabel(f"t ({units})")
+    axes.grid(color="0.9", linewidth=0.8)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
 
 
 @dataclass(frozen=True)
@@ -86,6 +101,12 @@ def colour_scale(truth: np.ndarray, upper: float, *shown: np.ndarray) -> ColourS
     below = bottom < 0.0 and any(np.nanmin(values) < bottom for values in finite)
     extend = {(False, False): "neither", (True, False): "max", (False, True): "min", (True, True): "both"}[above, below]
     return ColourScale(colours, Normalize(bottom, top), extend)
+
+
+def spread_scale(spread: np.ndarray) -> ColourScale:
+    """Return the scale of a standard deviation, in another colour than that of what it is about."""
+    most = float(np.nanmax(spread))
+    return ColourScale(SPREAD, Normalize(0.0, most if most > 0.0 else 1.0), "neither")
 
 
 def peak_at_end(truth: np.ndarray) -> float:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
+from absent import without_free_run, without_truth
 from matplotlib.path import Path as Outline
 from scipy.spatial import Delaunay
 
@@ -126,6 +127,7 @@ def plant(
         return np.where(none, np.nan, np.take_along_axis(values, np.where(none, 0, seen), axis=1))
 
     at = {axis: np.where(none, np.nan, nodes[seen, number]) for number, axis in enumerate("xy")}
+    innovation = np.where(np.arange(time.size)[:, None] == 0, np.nan, rng.standard_normal((time.size, 2)))
     vertex = np.vstack(outlines) if outlines else np.empty((0, 2))
     concentration, metres = {"units": "kg m-3"}, {"units": "m"}
     per_node = {"truth": true, "free": free, "forecast_mean": mean, "mean": mean}
@@ -154,6 +156,8 @@ def plant(
         "observation_value": (("time", "observation"), reading(true), concentration),
         "observation_forecast_mean": (("time", "observation"), reading(mean), concentration),
         "observation_node": (("time", "observation"), seen.astype("int32")),
+        "innovation_mean": ("time", innovation.mean(axis=1)),
+        "innovation_rms": ("time", np.sqrt(np.mean(innovation**2, axis=1))),
         "phase_seconds": (("time", "phase"), np.full((time.size, 2), 0.1), {"units": "s"}),
     }
     section = np.array([[620.0, 360.0], [420.0, 335.0], [250.0, 355.0], [90.0, 300.0]])
@@ -209,6 +213,12 @@ def lone_run(plant_run: xr.Dataset) -> xr.Dataset:
     for name in [name for name in run.data_vars if str(name).endswith("_free")]:
         run[name].values[:] = np.nan
     return run
+
+
+@pytest.fixture(scope="session")
+def untold_run(plant_run: xr.Dataset) -> xr.Dataset:
+    """Neither a truth nor a free run."""
+    return without_free_run(without_truth(plant_run))
 
 
 @pytest.fixture

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from absent import without_free_run, without_truth
 from matplotlib.collections import PolyCollection
 from matplotlib.tri import LinearTriInterpolator
 
@@ -11,7 +12,7 @@ from dafw.core.errors import RunError
 from dafw.views import plot_contours, plot_route, plot_section
 from dafw.views.contents import buildings, polyline, triangulation
 from dafw.views.section import SectionWeights, sample_polyline
-from dafw.views.style import colour_scale, peak_at_end
+from dafw.views.style import colour_scale, peak_at_end, spread_scale
 
 
 def lines(axes, gid):
@@ -60,14 +61,48 @@ def test_stations_without_a_vehicle_are_drawn_as_nodes_only(lone_run):
     figure = plot_route({"stations": lone_run})
     axes = figure.axes[0]
     assert len(lines(axes, "nodes")) == 1 and not lines(axes, "route") and not lines(axes, "start")
-    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["visited nodes", "release"]
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["readings", "release"]
 
 
-def test_maps_without_a_free_run_leave_its_panel_out(lone_run):
-    contours, section = plot_contours(lone_run), plot_section(lone_run)
-    assert contours.axes[2].get_title() == "No free run was computed"
-    assert [axes.get_title() for axes in section.axes[:-1]] == ["Truth", "Belief"]
-    np.testing.assert_array_equal(contours.axes[3].collections[0].get_array(), lone_run["concentration_mean"][-1])
+def titles(figure):
+    return [axes.get_title() for axes in figure.axes if axes.get_title()]
+
+
+@pytest.mark.parametrize("absent", ["holds NaN", "is not there"])
+def test_maps_without_a_free_run_leave_its_panel_out(lone_run, plant_run, absent):
+    run = lone_run if absent == "holds NaN" else without_free_run(plant_run)
+    contours, section = plot_contours(run), plot_section(run)
+    ends = f"t = {float(run['time'][-1]):g} s"
+    assert titles(contours)[:2] == ["Truth, t = 0 s", f"Truth, {ends}"]
+    assert [title.split(" (")[0] for title in titles(contours)[2:]] == [f"Belief, {ends}"]
+    assert titles(section) == ["Truth", "Belief"]
+    np.testing.assert_array_equal(fields(contours)[2].get_array(), run["concentration_mean"][-1])
+
+
+def test_without_a_truth_the_belief_is_drawn_at_both_ends_and_how_sure_it_is(untold_run, plant_run):
+    figure = plot_contours(untold_run)
+    assert titles(figure) == ["Belief, t = 0 s", "Belief, t = 100 s", "Spread of the belief, t = 100 s"]
+    first, last, spread = fields(figure)[:3]
+    mean = untold_run["concentration_mean"]
+    np.testing.assert_array_equal(first.get_array(), mean[0])
+    np.testing.assert_array_equal(last.get_array(), mean[-1])
+    np.testing.assert_array_equal(spread.get_array(), untold_run["concentration_spread"][-1])
+    assert first.get_clim() == last.get_clim() == (0.0, float(mean[-1].max()))
+    assert spread.get_clim() == (0.0, float(untold_run["concentration_spread"][-1].max()))
+    with_free = plot_contours(without_truth(plant_run))
+    assert titles(with_free)[2:] == ["Free run, t = 100 s", "Spread of the belief, t = 100 s"]
+
+
+def test_a_section_without_a_truth_is_scaled_by_the_belief(untold_run, plant_run):
+    (panel,) = fields(plot_section(untold_run))
+    assert titles(plot_section(untold_run)) == ["Belief"]
+    assert titles(plot_section(without_truth(plant_run))) == ["Free run", "Belief"]
+    along = np.ma.filled(panel.get_array(), np.nan)
+    assert panel.get_clim() == (0.0, pytest.approx(np.nanpercentile(along, 99.9)))
+
+
+def test_a_belief_that_is_sure_has_a_spread_that_can_be_drawn():
+    assert (spread_scale(np.zeros(3)).norm.vmin, spread_scale(np.zeros(3)).norm.vmax) == (0.0, 1.0)
 
 
 def test_contours_are_the_papers_four_panels_on_one_scale(plant_run):

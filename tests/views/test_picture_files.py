@@ -4,13 +4,20 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
+from absent import without_truth
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 
+import dafw
+from dafw import Model, StateSpace, Study, Variable
 from dafw.core.errors import RunError
+from dafw.plugins.filters.enks import EnKS
+from dafw.plugins.filters.etkf import ETKF
+from dafw.plugins.readings.listed import Listed
 from dafw.views import compare, draw_all, draw_runs, plot_route
 from dafw.views.files import _save
 
@@ -21,7 +28,14 @@ def names(files):
 
 def test_a_plant_gets_all_pictures_of_the_paper(plant_folder):
     files = draw_runs([plant_folder], None)
-    assert names(files) == ["err.png", "route.png", "contours.png", "section.png", "parameters.png"]
+    assert names(files) == [
+        "err.png",
+        "innovations.png",
+        "route.png",
+        "contours.png",
+        "section.png",
+        "parameters.png",
+    ]
     assert {file.parent for file in files} == {plant_folder / "figures"}
     assert sorted(names((plant_folder / "figures").iterdir())) == sorted(names(files))
     for file in files:
@@ -48,8 +62,70 @@ def test_several_runs_are_compared(plant_folder, ring_run, plant_run, tmp_path):
     second = tmp_path / "second"
     second.mkdir()
     plant_run.assign_attrs(seed=2).to_netcdf(second / "run.nc")
-    assert names(draw_runs([plant_folder, second / "run.nc"], tmp_path / "both")) == ["err.png", "route.png"]
-    assert names(compare({"plant": plant_run, "ring": ring_run}, tmp_path / "mixed")) == ["err.png"]
+    both = draw_runs([plant_folder, second / "run.nc"], tmp_path / "both")
+    assert names(both) == ["err.png", "innovations.png", "route.png"]
+    assert names(compare({"plant": plant_run, "ring": ring_run}, tmp_path / "mixed")) == ["err.png", "innovations.png"]
+
+
+def test_what_cannot_be_compared_is_said_in_a_line_each(plant_run, untold_run, ring_run, tmp_path, capsys):
+    files = compare({"scored": plant_run, "untold": untold_run}, tmp_path / "one")
+    assert names(files) == ["err.png", "innovations.png", "route.png"]
+    assert capsys.readouterr().err == "dafw: untold: no truth, so not in err.png\n"
+    files = compare({"untold": untold_run, "ring": ring_run}, tmp_path / "two")
+    assert names(files) == ["err.png", "innovations.png"]
+    assert capsys.readouterr().err.splitlines() == [
+        "dafw: untold: no truth, so not in err.png",
+        "dafw: ring: no readings, so not in innovations.png",
+        "dafw: ring: no map, so no route.png",
+    ]
+    files = compare({"a": untold_run, "b": untold_run}, tmp_path / "three")
+    assert names(files) == ["innovations.png", "route.png"] and capsys.readouterr().err == ""
+    with pytest.raises(RunError, match="nothing that can be compared: no truth, no readings, no map"):
+        compare({"a": without_truth(ring_run), "b": without_truth(ring_run)}, tmp_path / "four")
+
+
+def test_a_run_without_a_truth_gets_innovations_instead_of_errors(untold_run, ring_run, tmp_path):
+    assert names(draw_all(untold_run, tmp_path / "plant")) == [
+        "innovations.png",
+        "route.png",
+        "contours.png",
+        "section.png",
+        "parameters.png",
+    ]
+    assert names(draw_all(without_truth(ring_run), tmp_path / "ring")) == ["state.png"]
+
+
+@dataclass
+class Pond(Model):
+    """A level and a leak that nobody has seen; the level is read now and then."""
+
+    space: StateSpace = field(default_factory=lambda: StateSpace([Variable("level", 1), Variable("leak", 1)]))
+    dt: float = 10.0
+    leak: float = 0.01
+
+    def initial(self, n_members, rng):
+        return np.column_stack([2.0 + rng.standard_normal((n_members, 1)), np.full(n_members, self.leak)])
+
+    def step(self, members, t, rng):
+        return members * [1.0 - self.dt * self.leak, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("more", "expected"),
+    [
+        ({}, ["innovations.png", "parameters.png"]),
+        ({"free": Pond()}, ["innovations.png", "parameters.png"]),
+        ({"truth": Pond(leak=0.02)}, ["err.png", "innovations.png", "parameters.png"]),
+        ({"truth": Pond(), "free": Pond(), "filter": EnKS()}, ["err.png", "innovations.png", "parameters.png"]),
+        ({"readings": Listed()}, ["parameters.png"]),
+    ],
+)
+def test_what_a_study_of_any_kind_records_can_be_drawn(more, expected, tmp_path):
+    readings = Listed([{"time": 10.0 * k, "value": 2.0, "entry": 0} for k in range(1, 4)])
+    parts = {"model": Pond(), "filter": ETKF(), "readings": readings, "members": 4, "cycles": 5} | more
+    run = dafw.run(Study(**parts, pictures=True), tmp_path / "pond")
+    run.close()
+    assert sorted(names((tmp_path / "pond" / "figures").iterdir())) == expected
 
 
 @pytest.mark.parametrize(
@@ -112,9 +188,9 @@ def test_paths_without_a_run_are_named(tmp_path, plant_folder):
         draw_runs([cut], None)
 
 
-def test_a_run_without_its_scores_is_refused_by_name(plant_run, tmp_path):
-    plant_run.drop_vars("err_free").to_netcdf(tmp_path / "run.nc")
-    with pytest.raises(RunError, match="needs err_free"):
+def test_a_run_without_its_belief_is_refused_by_name(plant_run, tmp_path):
+    plant_run.drop_vars("concentration_mean").to_netcdf(tmp_path / "run.nc")
+    with pytest.raises(RunError, match="needs concentration_mean"):
         draw_runs([tmp_path], None)
 
 

@@ -1,0 +1,84 @@
+"""What the readings say about the belief, with or without a truth: the normalised innovations over time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from dafw.core.errors import RunError
+from dafw.views.contents import has_innovations, time_units
+from dafw.views.style import FREE_COLOUR, new_figure, outside_legend, run_style, time_axis
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from xarray import Dataset
+
+LATEST = 20
+"""How many cycles with readings the curves look back over."""
+
+
+def plot_innovations(runs: Mapping[str, Dataset]) -> Figure:
+    """Draw root mean square and mean of the normalised innovations of each run over time.
+
+    An innovation, reading less what the belief expected, is divided by the standard deviation that the belief expects
+    it to have: of an honest belief the root mean square is near 1 and the mean near 0. A dot is one cycle; one reading
+    says little, so the curves take all readings of the last ``LATEST`` cycles that had some together. Runs without
+    readings are left out; raises RunError where no run has any.
+    """
+    styles = {text: run_style(index, len(runs)) for index, text in enumerate(runs)}
+    read = {text: run for text, run in runs.items() if has_innovations(run)}
+    if not read:
+        raise RunError(f"a picture of innovations needs readings, which {', '.join(runs)} does not have")
+    figure = new_figure(6.8, 5.2)
+    upper, lower = figure.subplots(2, 1, sharex=True)
+    handles: list[Line2D] = []
+    for text, run in read.items():
+        handles += _draw(upper, run, "innovation_rms", styles[text], text)
+        _draw(lower, run, "innovation_mean", styles[text], text)
+    longest = max(read.values(), key=lambda run: run.sizes["time"])
+    for axes, level in ((upper, 1.0), (lower, 0.0)):
+        axes.axhline(level, color=FREE_COLOUR, linestyle="--", linewidth=1.2, zorder=1, gid="honest")
+        time_axis(axes, longest["time"].values, time_units(longest) if axes is lower else "")
+    if max(float(run["innovation_rms"].max()) for run in read.values()) > 10.0:
+        upper.set_yscale("log")
+        lower.set_yscale("symlog", linthresh=1.0)
+    else:
+        upper.set_ylim(bottom=0.0)
+    upper.set_ylabel("root mean square")
+    lower.set_ylabel("mean")
+    figure.align_ylabels([upper, lower])
+    handles.append(Line2D([], [], color=FREE_COLOUR, linestyle="--", linewidth=1.2, label="of an honest belief"))
+    handles.append(Line2D([], [], color=FREE_COLOUR, marker=".", markersize=4, linestyle="none", label="one cycle"))
+    title = f"Innovations over their expected standard deviation; curves: latest {LATEST} cycles with readings"
+    upper.set_title(title, fontsize=9.5)
+    outside_legend(figure, handles, "upper")
+    return figure
+
+
+def recent(run: Dataset, name: str) -> np.ndarray:
+    """Return (time,) an innovation score of all readings of the last ``LATEST`` cycles with readings, NaN elsewhere.
+
+    Every cycle counts by its number of readings.
+    """
+    scores = run[name].values
+    found = np.flatnonzero(np.isfinite(scores))
+    power = 2 if name == "innovation_rms" else 1
+    counts = np.isfinite(run["observation_forecast_mean"].values).sum(axis=1)[found]
+    sums, readings = (
+        np.convolve(terms, np.ones(LATEST))[: found.size] for terms in (counts * scores[found] ** power, counts)
+    )
+    values = np.full(scores.shape, np.nan)
+    values[found] = (sums / readings) ** (1.0 / power)
+    return values
+
+
+def _draw(axes: Axes, run: Dataset, name: str, style: dict[str, Any], text: str) -> list[Line2D]:
+    """Draw one score of one run: a dot for each cycle with readings, and the curve through them."""
+    time, scores = run["time"].values, run[name].values
+    found = np.isfinite(scores)
+    axes.plot(time[found], scores[found], ".", color=style["color"], markersize=4, alpha=0.4, gid="cycles")
+    return axes.plot(time[found], recent(run, name)[found], **style, linewidth=1.8, label=text, gid="recent")
