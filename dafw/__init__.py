@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from dafw.core.runs import open_run
     from dafw.core.space import ANGLE, FIELD, NONNEGATIVE, POSITIVE, StateSpace, Variable
     from dafw.core.study import Study
+    from dafw.core.sweeps import open_sweep
     from dafw.core.window import Outlook, PastCycle, Window
     from dafw.studies.running import run
 
@@ -69,6 +70,7 @@ _HOMES = {
     "dafw.core.options": ("REQUIRED", "option"),
     "dafw.core.runs": ("open_run",),
     "dafw.core.study": ("Study",),
+    "dafw.core.sweeps": ("open_sweep",),
     "dafw.core.window": ("Outlook", "PastCycle", "Window"),
     "dafw.core.space": ("ANGLE", "FIELD", "NONNEGATIVE", "POSITIVE", "StateSpace", "Variable"),
     "dafw.authoring.function": ("model_from_function",),
@@ -127,6 +129,7 @@ __all__ = [
     "hookimpl",
     "model_from_function",
     "open_run",
+    "open_sweep",
     "option",
     "run",
     "step_members",

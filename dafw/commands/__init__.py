@@ -20,7 +20,7 @@ usage: dafw COMMAND [...]
 
   run [-m] [experiment=NAME] [overrides]   run a study; -m runs every combination of the values given (a=1,2)
   plugins [--json] [NAME]                  list the plugins, or the options of those with this name
-  plot RUN [RUN ...] [--out DIR]           draw the pictures of a run, or of several together
+  plot RUN|SWEEP ... [--out DIR]           draw the pictures of a run, or of several together
   check NAME [NAME ...] | --all            hold plugins to what their interface promises
   new-plugin KIND NAME DIR                 write a package with a plugin to start from, and its test
   doctor [--json]                          say what this machine lacks, and the command that installs it

@@ -11,7 +11,9 @@ from dafw.commands.parser import Parser
 def plot_command(words: Sequence[str]) -> int:
     """Draw the pictures and print their paths; raises RunError where a path holds no run that can be read."""
     parser = Parser(prog="dafw plot", description="Draw the pictures of a run, or of several together.")
-    parser.add_argument("runs", nargs="+", type=Path, metavar="RUN", help="a run's folder or its run.nc")
+    parser.add_argument(
+        "runs", nargs="+", type=Path, metavar="RUN", help="the folder of a run or of a multirun, or a run.nc"
+    )
     parser.add_argument("--out", type=Path, help="folder for the pictures")
     asked = parser.parse_args(words)
     from dafw.views import draw_runs  # loads matplotlib, which --help can do without

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from dafw.core.errors import RunError
 from dafw.core.files import whole_file
 from dafw.core.runs import open_run
+from dafw.core.sweeps import RECORD, is_sweep, run_folders, sweep_folder
 from dafw.views.contents import has_innovations, has_map, has_section, has_truth, scalar_variables, scored_variable
 from dafw.views.innovations import plot_innovations
 from dafw.views.maps import plot_contours, plot_route
@@ -75,17 +76,35 @@ def compare(runs: Mapping[str, Dataset], folder: Path) -> list[Path]:
 def draw_runs(paths: Sequence[Path], out: Path | None) -> list[Path]:
     """Draw one run, or compare several, and return the files written.
 
-    ``paths`` are run folders or their ``run.nc``. The pictures of one run go to ``out`` or its own folder's
+    ``paths`` are run folders or their ``run.nc``, or multiruns, of which all runs are meant that left one; what else a
+    shell's ``sweep/*`` names there is passed over. The pictures of one run go to ``out`` or its own folder's
     ``figures``; a comparison goes to ``out`` or ``comparison`` in the current folder. Raises RunError where a path
     holds no run that can be read.
     """
-    files = [path / "run.nc" if path.is_dir() else path for path in map(Path, paths)]
+    files = [file for path in map(Path, paths) for file in _files_of(path, alone=len(paths) == 1)]
     if not files:
         raise RunError("expected at least one run folder or run.nc to draw, got none")
     runs = [_load(file) for file in files]
     if len(runs) == 1:
         return draw_all(runs[0], out or files[0].parent / "figures")
     return compare(dict(zip(_labels(files, runs), runs, strict=True)), out or Path("comparison"))
+
+
+def _files_of(path: Path, *, alone: bool) -> list[Path]:
+    """Return the files of a run or of all runs of a multirun; raises RunError where a multirun has left none."""
+    if not alone and (path.name == RECORD or _left_nothing(path)):
+        return []
+    if path.name != RECORD and (not path.is_dir() or (path / "run.nc").exists() or not is_sweep(path)):
+        return [path / "run.nc" if path.is_dir() else path]
+    files = [run / "run.nc" for run in run_folders(sweep_folder(path)) if (run / "run.nc").exists()]
+    if not files:
+        raise RunError(f"{path}: none of its runs has left anything to draw")
+    return files
+
+
+def _left_nothing(path: Path) -> bool:
+    """Tell whether a folder is that of a job which ended before it had anything to record."""
+    return (path / ".hydra").is_dir() and not (path / "run.nc").exists()
 
 
 def _load(file: Path) -> Dataset:

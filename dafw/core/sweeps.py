@@ -1,0 +1,172 @@
+"""Opening what a multirun left behind: one lazy Dataset over all of its runs, the swept parameters as dimensions."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dafw.core.errors import DafwError, RunError
+from dafw.core.runs import open_run
+
+if TYPE_CHECKING:
+    import xarray
+
+RECORD = "multirun.yaml"
+"""The file in which Hydra keeps what a multirun was asked for."""
+SPARSEST = 100
+"""A grid with so many times more places than there are runs is none."""
+
+
+def open_sweep(path: str | Path) -> xarray.Dataset:
+    """Open the folder of a multirun as one lazy Dataset, with a dimension for each parameter that was swept.
+
+    The coordinates of a dimension are the parameter's values as int, float, bool or str. ``status`` and ``folder`` say
+    of every run how it ended (``complete``, ``interrupted``, ``failed``, or ``missing``: it left no word) and where it
+    is. What a run does not have is NaN, in texts '': all of a run that is missing, rows of one that ended early,
+    members and nodes of one that has fewer. What has no time and is the same in all runs, such as a mesh, is there
+    once. Runs with other time steps are side by side row by row, their times in ``row_time``. Close it when done, or
+    use it as a context.
+
+    Raises RunError where there is no multirun, or its runs cannot be put into one grid.
+    """
+    from dafw.core.grid_of_runs import join
+
+    folder = sweep_folder(Path(path))
+    jobs, names = _jobs(folder)
+    values = {name: list(dict.fromkeys(job.words.get(name, "") for job in jobs)) for name in names}
+    shape = tuple(len(texts) for texts in values.values())
+    if math.prod(shape) > SPARSEST * len(jobs):
+        raise RunError(f"{folder}: {len(jobs)} runs do not make a grid over {', '.join(names)}; open them one by one")
+    places: dict[tuple[int, ...], _Job] = {}
+    for job in jobs:
+        place = tuple(texts.index(job.words.get(name, "")) for name, texts in values.items())
+        if place in places:
+            raise RunError(f"{folder}: two runs have the same parameters ({places[place].folder} and {job.folder})")
+        places[place] = job
+    coordinates = {name: _typed([(text, _value(name, jobs, text)) for text in texts]) for name, texts in values.items()}
+    runs = {place: run for place, job in places.items() if (run := _opened(job)) is not None}
+    status = np.full(shape, "missing", dtype="<U11")
+    where = np.full(shape, "", dtype=object)
+    for place, job in places.items():
+        status[place] = job.status
+        where[place] = "" if job.folder is None else str(job.folder.relative_to(folder))
+    return join(runs, coordinates, {"status": status, "folder": where.astype(np.str_)})
+
+
+def sweep_folder(path: Path) -> Path:
+    """Return the folder of a multirun from itself or its multirun.yaml; raises RunError where there is none."""
+    folder = path.parent if path.name == RECORD else path
+    if (folder / "run.nc").exists():
+        raise RunError(f"{path}: is a single run, not a multirun")
+    if not is_sweep(folder):
+        raise RunError(f"{path}: holds no multirun (expected its folder, with a {RECORD} and folders of runs)")
+    return folder
+
+
+def is_sweep(folder: Path) -> bool:
+    """Tell whether a folder is that of a multirun."""
+    return (folder / RECORD).is_file()
+
+
+def run_folders(folder: Path) -> Iterator[Path]:
+    """Give the folders of the jobs that have begun, in the order of their names."""
+    for overrides in sorted(folder.rglob(".hydra/overrides.yaml")):
+        yield overrides.parent.parent
+
+
+@dataclass(frozen=True)
+class _Job:
+    """One job of a multirun: what it was told, by name; its typed values; its folder, if it has begun."""
+
+    words: Mapping[str, str]
+    values: Mapping[str, Any]
+    folder: Path | None
+
+    @property
+    def status(self) -> str:
+        """How it ended."""
+        summary = self.folder / "summary.json" if self.folder else None
+        if summary is None or not summary.exists():
+            return "missing"
+        try:
+            return str(json.loads(summary.read_text(encoding="utf-8"))["status"])
+        except (OSError, ValueError, LookupError):
+            return "failed"
+
+
+def _jobs(folder: Path) -> tuple[list[_Job], list[str]]:
+    """Return the jobs that were asked for or have begun, and the names of the parameters in which they differ."""
+    from dafw.core.composition import single_runs
+
+    asked = _texts(folder / RECORD, "hydra", "overrides", "task")
+    jobs = {_key(job): job for job in (_job(words, None) for words in single_runs(asked))} if asked else {}
+    for run in run_folders(folder):
+        job = _job(_texts(run / ".hydra" / "overrides.yaml"), run)
+        if (known := jobs.get(_key(job))) is not None and known.folder is not None:
+            raise RunError(f"{folder}: two runs have the same parameters ({known.folder} and {run})")
+        jobs[_key(job)] = job
+    swept = [override.key_or_group for override in _parsed(asked) if override.is_sweep_override()]
+    for name in dict.fromkeys(name for job in jobs.values() for name in job.words):
+        if len({job.words.get(name) for job in jobs.values()}) > 1 and name not in swept:
+            swept.append(name)
+    return list(jobs.values()), swept
+
+
+def _key(job: _Job) -> tuple[tuple[str, str], ...]:
+    return tuple(sorted(job.words.items()))
+
+
+def _job(words: Sequence[str], folder: Path | None) -> _Job:
+    parsed = _parsed(words)
+    texts = {override.key_or_group: override.get_value_element_as_str() for override in parsed}
+    return _Job(texts, {override.key_or_group: override.value() for override in parsed}, folder)
+
+
+def _parsed(words: Sequence[str]) -> list[Any]:
+    from hydra.core.override_parser.overrides_parser import OverridesParser
+    from hydra.errors import HydraException
+
+    try:
+        return list(OverridesParser.create().parse_overrides(list(words)))
+    except HydraException as error:
+        raise RunError(f"overrides of a run that cannot be read: {' '.join(str(error).split())}") from error
+
+
+def _texts(file: Path, *keys: str) -> list[str]:
+    """Return a list of texts in a YAML file, under nested keys; empty where it is not there."""
+    import yaml
+
+    try:
+        found: Any = yaml.safe_load(file.read_text(encoding="utf-8")) if file.is_file() else []
+        for key in keys:
+            found = found[key]
+    except (OSError, UnicodeError, yaml.YAMLError, LookupError, TypeError):
+        return []
+    return [str(text) for text in found] if isinstance(found, list) else []
+
+
+def _value(name: str, jobs: Sequence[_Job], text: str) -> Any:
+    return next(job.values.get(name) for job in jobs if job.words.get(name, "") == text)
+
+
+def _typed(values: Sequence[tuple[str, Any]]) -> np.ndarray:
+    """Return the values of a parameter as bool, int or float where all of them are, otherwise as they were written."""
+    kinds = {type(value) for _, value in values}
+    for accepted, dtype in (({bool}, np.bool_), ({int}, np.int64), ({int, float}, np.float64)):
+        if kinds <= accepted:
+            return np.array([value for _, value in values], dtype=dtype)
+    return np.array([value if isinstance(value, str) else text for text, value in values], dtype=np.str_)
+
+
+def _opened(job: _Job) -> xarray.Dataset | None:
+    """Return a run, lazily; None where there is nothing that can be read."""
+    try:
+        return None if job.folder is None else open_run(job.folder).chunk()
+    except DafwError:
+        return None  # its status says how it ended
