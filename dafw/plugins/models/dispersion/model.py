@@ -54,12 +54,12 @@ class AdvectionDiffusion(Model):
     release_radius: float = option(30.0, "standard deviation of the released bell in metres", above=0.0)
     wind_speed: float = option(5.0, "first guess of the wind speed: mean, m/s", minimum=0.0)
     wind_speed_sd: float = option(0.0, "first guess of the wind speed: standard deviation, m/s (Weibull)", minimum=0.0)
-    wind_direction: float = option(np.pi, "first guess of the wind direction: mean, radians, towards where it blows")
+    wind_direction: float = option(np.pi, "first guess of the wind direction: mean, radians, towards which it blows")
     wind_direction_sd: float = option(
         0.0, "first guess of the wind direction: standard deviation, radians", minimum=0.0
     )
-    noise: float = option(0.0, "standard deviation of the noise before a step, as a share of the value", minimum=0.0)
-    cutoff: float = option(1e-6, "concentrations up to this are set to zero before a step, where there is noise")
+    noise: float = option(0.0, "standard deviation of the noise before a step, relative to the value", minimum=0.0)
+    cutoff: float = option(1e-6, "with noise: concentrations up to this are set to zero before a step")
 
     # for a member, what defines its wind and its TransportSystem
     _systems: dict[int, tuple[Array, Any]] = field(default_factory=dict, init=False, repr=False)

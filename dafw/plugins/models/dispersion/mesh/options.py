@@ -13,6 +13,6 @@ class MeshOptions:
 
     wall_size: float = option(16.0, "m; side of the triangles at the walls of buildings", above=0.0)
     far_size: float = option(24.0, "m; side of the triangles far from any wall", above=0.0)
-    transition: float = option(100.0, "m; from a wall to where the far size is reached", above=0.0)
-    across: int = option(2, "triangles across a passage, down to a quarter of the wall size", minimum=1)
+    transition: float = option(100.0, "m; distance from a wall at which the far size is reached", above=0.0)
+    across: int = option(2, "triangles across a passage, with sides of at least a quarter of the wall size", minimum=1)
     max_nodes: int = option(1_000_000, "refuse a mesh that would have more nodes than about this", minimum=1)

@@ -9,11 +9,11 @@ from dafw.core.options import option
 
 @dataclass
 class SiteOptions:
-    """Where the buildings come from, and how the rectangle around them is laid."""
+    """Where the buildings come from, and the rectangle around them."""
 
     file: str = option("plant", "'plant', the site that ships with dafw, or the path of a GeoJSON file")
     margin: float = option(
-        80.0, "m; from the outermost buildings to the limits, where no bounds are given", minimum=0.0
+        80.0, "m; distance from the outermost buildings to the limits, if no bounds are given", minimum=0.0
     )
     bounds: list[float] | None = option(None, "degrees; the limits as [lon_min, lat_min, lon_max, lat_max]")
     rim: float = option(20.0, "m; strip inside the limits that is kept free of buildings", above=0.0)

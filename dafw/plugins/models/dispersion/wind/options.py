@@ -12,9 +12,9 @@ from dafw.core.options import option
 class BasisOptions:
     """Options of the reduced basis: which winds are solved for it, and how far it is trusted."""
 
-    directions: int = option(32, "directions all round of the winds it is made from", minimum=4)
+    directions: int = option(32, "directions, over the full circle, of the winds that it is made from", minimum=4)
     levels: int = option(5, "intensities in each direction, denser towards calm", minimum=1)
-    max_intensity: float = option(12.0, "m/s; the strongest wind it is made from", above=0.0)
+    max_intensity: float = option(12.0, "m/s; the strongest wind that it is made from", above=0.0)
     modes: int = option(160, "modes kept; an enriched basis has up to twice as many", minimum=1)
     tolerance: float = option(
         0.01,
@@ -45,7 +45,7 @@ class WindOptions:
     )
     boundary: str = option(
         "uniform",
-        "uniform: the wind prescribed all round; outflow: do-nothing where it leaves",
+        "uniform: the wind is prescribed all round; outflow: no condition where it leaves (do-nothing)",
         choices=("uniform", "outflow"),
     )
     tolerance: float = option(
@@ -55,10 +55,10 @@ class WindOptions:
     max_steps: int = option(40, "Newton iterations in one continuation from Stokes flow", minimum=1)
     solver: str = option(
         "newton",
-        "newton; accelerated: to the same tolerance from a reduced basis; reduced: in the basis, to its tolerance",
+        "newton; accelerated: from a reduced basis to the same tolerance; reduced: in the basis, to its tolerance",
         choices=("newton", "accelerated", "reduced"),
     )
-    keep_factorisation: bool = option(True, "newton: use a factorisation again while it serves well")
+    keep_factorisation: bool = option(True, "newton: use a factorisation again while it reduces the residual well")
     basis: BasisOptions = option(BasisOptions, "the reduced basis of the accelerated and the reduced solver")
 
 

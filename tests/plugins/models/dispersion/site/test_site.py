@@ -286,7 +286,7 @@ def test_where_no_feature_is_tagged_every_polygon_counts(tmp_path):
     path.write_text(json.dumps({"type": "FeatureCollection", "features": shapes}))
     site = load_site(SiteOptions(file=str(path)))
     assert len(site.buildings) == 2 and site.report["untagged"] == 2
-    assert any("no feature of the file says" in line for line in site.report_lines())
+    assert any("no feature of the file is tagged" in line for line in site.report_lines())
     path.write_text(json.dumps(shapes[0]["geometry"]))
     assert len(load_site(SiteOptions(file=str(path))).buildings) == 1
 
