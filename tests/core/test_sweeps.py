@@ -186,7 +186,8 @@ def test_a_multirun_is_drawn_from_its_folder_and_from_all_that_is_in_it(mixed, t
     for words in ([folder], sorted(folder.iterdir()), [folder / "multirun.yaml"]):
         shutil.rmtree(tmp_path / "drawn", ignore_errors=True)
         assert main(["plot", *map(str, words), "--out", str(tmp_path / "drawn")]) == 0
-        assert capsys.readouterr().out.splitlines() == [str(tmp_path / "drawn" / "err.png")]
+        pictures = [str(tmp_path / "drawn" / f"{name}.png") for name in ("err", "innovations")]
+        assert capsys.readouterr().out.splitlines() == pictures
     for run in folder.glob("*/run.nc"):
         run.unlink()
     assert main(["plot", str(folder)]) == 2
