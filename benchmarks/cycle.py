@@ -170,7 +170,7 @@ def overhead(overrides: Sequence[str], cycles: int) -> Measurement:
         scalars = [variable.name for variable in parts.model.space.variables if variable.size == 1]
         path, section = Path(folder) / "run.nc", np.zeros((0, 2))
         begun = time.perf_counter()
-        record = Record(path, parts, run.state, whole=scalars, section=section, attributes={})
+        record = Record(path, parts, run.state, with_members=scalars, section=section, attributes={})
         opening = time.perf_counter() - begun
         watches["record"].on(record, "append")
         for _ in range(cycles):

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable, Sequence
 from importlib import import_module
 
-from dafw.commands.mpirun import shares, together
+from dafw.commands.mpirun import run_on_all_ranks, shares
 from dafw.core.errors import DafwError
 
 COMMANDS = ("run", "plugins", "plot", "doctor", "check", "new-plugin")
@@ -45,7 +45,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     name, *others = words
     if shares(words):
-        return together(lambda communicator: _ended(lambda: _command("run")(others, communicator)), words)
+        return run_on_all_ranks(lambda communicator: _ended(lambda: _command("run")(others, communicator)), words)
     if name not in COMMANDS:
         return _refuse(f"unknown command '{name}' (commands: {', '.join(COMMANDS)})")
     status, message = _ended(lambda: _command(name)(others))

@@ -25,6 +25,7 @@ IMPORT_TIMEOUT = 180  # seconds; a cold disk takes its time over PETSc
 
 # The modules to import -> the distribution that brings them. dolfinx_solver puts PETSc and MPI where dolfinx looks.
 PACKAGES = {
+    "dask.array": "dask",
     "dolfinx_solver, dolfinx": "dolfinx-solver-real",
     "filterpy": "filterpy",
     "gmsh": "gmsh",

@@ -83,7 +83,7 @@ def shares(words: Sequence[str]) -> bool:
     return launch.size != 1 and (words[0] == "run" or launch.launcher != "srun")
 
 
-def together(command: Callable[[Any], tuple[int, str]], words: Sequence[str]) -> int:
+def run_on_all_ranks(command: Callable[[Any], tuple[int, str]], words: Sequence[str]) -> int:
     """Have every rank call ``command(communicator)`` and return the exit status; rank 0 says what went wrong.
 
     ``command`` returns an exit status and a message; ``words`` are those of the command line, the first its name.

@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all."""
+"""Files that appear complete or not at all."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from dafw.core.errors import RunError
 
 
 @contextmanager
-def whole_file(path: Path) -> Iterator[BinaryIO]:
-    """Open a file beside ``path``; flush it to disk and rename it where the block ends well, else leave nothing."""
+def atomic_file(path: Path) -> Iterator[BinaryIO]:
+    """Open a temporary file beside ``path``. If the block succeeds, write it to disk and rename it; else remove it."""
     beside = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         with beside.open("wb") as stream:
@@ -26,14 +26,14 @@ def whole_file(path: Path) -> Iterator[BinaryIO]:
 
 
 def claim(path: Path) -> None:
-    """Make an empty file that was not there; raises RunError where another was quicker."""
+    """Create an empty file; raises RunError if it exists already."""
     try:
         path.open("x").close()
     except FileExistsError:
         raise RunError(f"{path.parent}: holds a run already; nothing was changed") from None
 
 
-def write_whole(path: Path, text: str) -> None:
-    """Write a text file so that it is there whole or not at all."""
-    with whole_file(path) as stream:
+def write_atomically(path: Path, text: str) -> None:
+    """Write a text file; readers see the old file or the new one, never a part."""
+    with atomic_file(path) as stream:
         stream.write(text.encode())

@@ -1,7 +1,7 @@
-"""Folders of a cache in which something is being made, to be moved into place when it is whole.
+"""Temporary folders inside a cache. What is made in one is moved to its place in the cache when it is complete.
 
-A process that is killed leaves its folder behind. Whoever makes something next removes it: where its process is gone,
-which only the machine tells on which it ran, or where it is older than anything takes to make.
+A process that is killed leaves its folder behind. The next process that makes something removes it, if the process of
+that folder no longer runs (which can only be told on the same machine) or if the folder is older than ``OLD``.
 """
 
 from __future__ import annotations
@@ -22,25 +22,27 @@ from pathlib import Path
 log = logging.getLogger(__name__)
 
 OLD = 3 * 24 * 3600.0
-"""Seconds after which a folder is nobody's, whoever it says it belongs to."""
+"""Seconds after which a folder counts as left behind, whatever its name says."""
 
 
 @contextmanager
 def making(parent: Path) -> Iterator[Path]:
-    """Give a folder in ``parent``, which is made, too; gone when the block ends.
+    """Make a temporary folder in ``parent`` for the block, and remove it afterwards; ``parent`` is made if need be.
 
-    So is what dead processes left there and one folder deeper. Raises OSError where the folder cannot be made.
+    Folders that dead processes left in ``parent`` or one level deeper are removed first. Raises OSError if the folder
+    cannot be made.
     """
     parent.mkdir(parents=True, exist_ok=True)
     with suppress(OSError):  # others tidy up at the same time
-        for left in filter(_nobodys, [*parent.glob("making-*"), *parent.glob("*/making-*")]):
+        for left in filter(_left_behind, [*parent.glob("making-*"), *parent.glob("*/making-*")]):
             shutil.rmtree(left, ignore_errors=True)
             log.info("%s, left behind by a process that was killed, is removed", left)
     with tempfile.TemporaryDirectory(dir=parent, prefix=f"making-{_machine()}-{os.getpid()}-") as folder:
         yield Path(folder)
 
 
-def _nobodys(folder: Path) -> bool:
+def _left_behind(folder: Path) -> bool:
+    """Return whether the process that made a temporary folder is gone, or the folder is too old to be in use."""
     owner = re.fullmatch(r"making-([0-9a-f]{12})-(\d+)-.*", folder.name)
     if owner is None:
         return False
@@ -48,12 +50,12 @@ def _nobodys(folder: Path) -> bool:
         return True
     try:
         return time.time() - folder.stat().st_mtime > OLD
-    except OSError:  # its owner was quicker
+    except OSError:  # its owner removed it meanwhile
         return False
 
 
 def alive(process: int) -> bool:
-    """Say whether a process is there; one that ended and was not waited for still is."""
+    """Return whether a process exists. One that ended but was not waited for still does."""
     try:
         os.kill(process, 0)
     except ProcessLookupError:
@@ -65,7 +67,7 @@ def alive(process: int) -> bool:
 
 @cache
 def _machine() -> str:
-    """Name the machine, its start, and the container: all of them number their processes for themselves."""
+    """Return a name of the machine, its boot and the container: process numbers are unique only within these."""
     parts = [platform.node()]
     with suppress(OSError):
         parts += [Path("/proc/sys/kernel/random/boot_id").read_text(), str(Path("/proc/self/ns/pid").readlink())]

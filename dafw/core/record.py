@@ -26,7 +26,7 @@ FLUSH_SECONDS = 0.5
 
 
 class Record:
-    """Writes one run. ``whole`` names the state variables of which every member is kept."""
+    """Writes one run. ``with_members`` names the state variables of which every member is kept."""
 
     def __init__(
         self,
@@ -34,18 +34,18 @@ class Record:
         parts: Parts,
         state: State,
         *,
-        whole: Sequence[str],
+        with_members: Sequence[str],
         section: Array,
         attributes: Mapping[str, str | int],
     ) -> None:
-        self._space, self._whole = parts.model.space, tuple(whole)
+        self._space, self._with_members = parts.model.space, tuple(with_members)
         self._has_truth, self._smooths = parts.truth is not None, parts.filter.window != 0
         self._file = RunFile(
             path,
             parts,
             n_members=len(state.belief.ensemble),
             n_vehicles=len(state.vehicle.positions),
-            whole=self._whole,
+            with_members=self._with_members,
             section=section,
             attributes=attributes,
         )
@@ -83,7 +83,7 @@ class Record:
         row: dict[str, Any] = {}
         for stage, vector in stages.items():
             row |= self._unpacked(vector, stage) if vector is not None else {}
-        for name in self._whole:
+        for name in self._with_members:
             row[f"{name}_members"] = _squeeze(belief.members[:, self._space.slice(name)])
         if belief.weights is not None:
             self._file.require_weights()

@@ -43,7 +43,8 @@ STAGES = {
 class RunFile:
     """A new file with all variables of a run, but for diagnostics: these are defined when they are first met.
 
-    ``whole`` names the state variables of which every member is kept. Raises RunError where the file cannot be made.
+    ``with_members`` names the state variables of which every member is kept. Raises RunError if the file cannot be
+    made.
     """
 
     def __init__(
@@ -53,7 +54,7 @@ class RunFile:
         *,
         n_members: int,
         n_vehicles: int,
-        whole: Sequence[str],
+        with_members: Sequence[str],
         section: Array,
         attributes: Mapping[str, str | int],
     ) -> None:
@@ -74,7 +75,7 @@ class RunFile:
         self._define_dimensions(n_members, n_vehicles)
         absent = {"truth": parts.truth is None, "free": parts.free is None, "smoothed": parts.filter.window == 0}
         self._stages = {name: text for name, text in STAGES.items() if not absent.get(name.split("_")[0])}
-        self._define_states(space, whole, meshed=domain is not None and domain.triangles is not None)
+        self._define_states(space, with_members, meshed=domain is not None and domain.triangles is not None)
         self._define_cycle_variables(scored, space.variables[0].units)
         if domain is not None:
             write_domain(self._file, domain)
@@ -140,7 +141,7 @@ class RunFile:
         for axis, column in zip("xyz", coordinates.T, strict=False):
             self._static(f"{dim}_{axis}", (dim,), column, "m", f"{axis} coordinate of the nodes")
 
-    def _define_states(self, space: StateSpace, whole: Sequence[str], meshed: bool) -> None:
+    def _define_states(self, space: StateSpace, with_members: Sequence[str], meshed: bool) -> None:
         for variable in space.variables:
             dims = self._dims(variable)
             title = variable.long_name or variable.name.replace("_", " ")
@@ -154,7 +155,7 @@ class RunFile:
             for stage, label in self._stages.items():
                 name, long_name = f"{variable.name}_{stage}", f"{title}, {label}"
                 self._define(name, ("time", *dims), dtype, variable.units, long_name, **attributes)
-            if variable.name in whole:
+            if variable.name in with_members:
                 name, long_name = f"{variable.name}_members", f"{title}, every member of the analysis"
                 self._define(name, ("time", "member", *dims), dtype, variable.units, long_name, **attributes)
 

@@ -1,7 +1,7 @@
-"""Worker processes of this machine: fresh interpreters that call what they are told to call.
+"""Worker processes on this machine: new Python interpreters that run functions for the main process.
 
-Never a fork: PETSc and its threads survive none. And not the user's script once more: no ``__main__`` is imported.
-Closing its connection ends a worker, so that none outlives the process that started it, however that ends.
+Workers are not forked, because PETSc and its threads do not survive a fork. They do not import the user's script
+either. A worker ends when its connection is closed, so no worker outlives the process that started it.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ log = logging.getLogger("dafw")
 
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS"), "1")
 LAUNCHERS = ("PMI", "OMPI_")
-"""What variables of an mpirun begin with; a worker that had them would take part in its job."""
+"""Prefixes of the environment variables that mpirun sets. A worker that saw them would join the MPI job."""
 PATIENCE = 5.0
-"""Seconds that an idle worker has to end by itself."""
+"""Seconds that an idle worker is given to end before it is killed."""
 REPLACED = 2
-"""How many lost workers ``share_out`` replaces."""
+"""How many lost workers ``run_tasks`` replaces."""
 PROGRAM = "import sys; sys.path[:] = {path!r}; from dafw.core.workers import serve; serve({descriptor})"
 
 _HELPING: ContextVar[bool] = ContextVar("helping", default=False)
@@ -44,20 +44,20 @@ def cores() -> int:
 
 
 def spare_cores() -> int:
-    """Return for how many worker processes there are cores: one, this process itself, where it is a worker."""
+    """Return how many worker processes have a core of their own; 1 in a worker, which starts none itself."""
     return 1 if _HELPING.get() else cores()
 
 
 @dataclass(eq=False)
 class Outcome:
-    """What became of a call: its value or its error, and what was logged on the way: (logger, level, text)."""
+    """The result of a call in a worker: a value or an error, and what was logged meanwhile (logger, level, text)."""
 
     value: Any
     error: DafwError | None = None
     logged: list[tuple[str, int, str]] = field(default_factory=list)
 
     def get(self) -> Any:
-        """Say in this process what the worker had to say; return the value or raise the error."""
+        """Repeat the worker's log messages in this process; return the value or raise the error."""
         for name, level, text in self.logged:
             logging.getLogger(name).log(level, "%s", text)
         if self.error is not None:
@@ -66,7 +66,7 @@ class Outcome:
 
 
 class _Notes(logging.Handler):
-    """Keeps what is logged, to be sent home."""
+    """Collects log messages, to be sent to the main process."""
 
     def __init__(self) -> None:
         super().__init__(logging.INFO)
@@ -77,7 +77,7 @@ class _Notes(logging.Handler):
 
 
 def outcome(label: str, call: Callable[[], Any]) -> Outcome:
-    """Call in a worker: whatever goes wrong comes back as a DafwError; ``label`` names who raised what is none."""
+    """Return what a call gives in a worker. Any exception becomes a DafwError; ``label`` names who raised it."""
     notes = _Notes()
     log.addHandler(notes)
     log.setLevel(logging.INFO)
@@ -94,7 +94,7 @@ def outcome(label: str, call: Callable[[], Any]) -> Outcome:
 
 
 def _portable(error: DafwError) -> DafwError:
-    """Return the error, or its text where it cannot travel."""
+    """Return the error, or a ComputationError with its text if it cannot be pickled."""
     try:
         pickle.loads(pickle.dumps(error))
     except Exception:
@@ -103,7 +103,7 @@ def _portable(error: DafwError) -> DafwError:
 
 
 def serve(descriptor: int) -> None:
-    """Call what the main process sends until it closes its end: (function, arguments, whether it waits for them)."""
+    """Run what the main process sends, (function, arguments, whether it waits for the result), until it disconnects."""
     # Ctrl-C is for the main process, which ends its workers itself.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     connection, messages = Connection(descriptor), SimpleQueue[Any]()
@@ -118,7 +118,7 @@ def serve(descriptor: int) -> None:
 
 
 def _listen(connection: Connection, messages: SimpleQueue[Any]) -> None:
-    """Take messages while others are worked on; end the process in the middle of its work where nobody wants it."""
+    """Receive messages while a function runs. End the process at once when the main process disconnects."""
     status = 1
     try:
         while True:
@@ -132,7 +132,7 @@ def _listen(connection: Connection, messages: SimpleQueue[Any]) -> None:
 
 
 def _environment() -> dict[str, str]:
-    """Return this process's environment for a worker: one thread, and no rank of an MPI job, which it is not."""
+    """Return the environment of a worker: this process's, with one thread and without the variables of mpirun."""
     own = {name: value for name, value in os.environ.items() if not name.startswith(LAUNCHERS)}
     return own | ONE_THREAD
 
@@ -143,8 +143,8 @@ class Worker:
     def __init__(self) -> None:
         self.connection, theirs = Pipe()
         with theirs:
-            # The same interpreter and path; a group of its own, out of reach of Ctrl-C; what is printed there must not
-            # get between a command's results.
+            # The same interpreter and path. A process group of its own, so that Ctrl-C does not reach it. What it
+            # prints goes to standard error, because standard output holds the command's results.
             self.process = subprocess.Popen(
                 [
                     sys.executable,
@@ -160,18 +160,18 @@ class Worker:
         self.busy = False
 
     def tell(self, function: Callable[..., Any], *arguments: Any) -> None:
-        """Have a function of an importable module called, for what it does there."""
-        with contextlib.suppress(OSError):  # a worker that is gone shows when it is waited for
+        """Run ``function(*arguments)`` in the worker and discard the result; it must be of an importable module."""
+        with contextlib.suppress(OSError):  # that the worker is gone is noticed when its next result is waited for
             self.connection.send((function, arguments, False))
 
     def ask(self, function: Callable[..., Outcome], *arguments: Any) -> None:
-        """Have a function of an importable module called; ``receive`` gives what it returns."""
+        """Run ``function(*arguments)`` in the worker; ``receive`` returns its result."""
         self.busy = True
         with contextlib.suppress(OSError):
             self.connection.send((function, arguments, True))
 
     def receive(self) -> Outcome | None:
-        """Wait for the outcome that was asked for; None where the worker ended instead."""
+        """Wait for the result of the oldest ``ask``; None if the worker ended instead."""
         try:
             received: Outcome = self.connection.recv()
         except (EOFError, OSError):
@@ -180,13 +180,13 @@ class Worker:
         return received
 
     def dismiss(self) -> None:
-        """Tell the worker to end: at once where it is at something that nobody waits for."""
+        """Disconnect, which ends the worker; kill it if it is busy."""
         self.connection.close()
         if self.busy:
             self.process.kill()
 
     def end(self) -> int:
-        """See the worker off; return its exit status, a signal's number negative."""
+        """End the worker and wait for it; return its exit status, negative for the number of a signal."""
         self.dismiss()
         try:
             return self.process.wait(PATIENCE)
@@ -195,27 +195,27 @@ class Worker:
             return self.process.wait()
 
     def lost(self) -> str:
-        """See off a worker that ended; say how: ``(process 71) was killed by signal 9``."""
+        """Clean up after a worker that ended unexpectedly; return how: ``(process 71) was killed by signal 9``."""
         status = self.end()
         how = f"killed by signal {-status}" if status < 0 else f"ended with status {status}"
         return f"(process {self.process.pid}) was {how}"
 
 
 def dismiss(workers: Sequence[Worker]) -> None:
-    """End workers; returns when they are gone."""
+    """End all workers and wait until they are gone."""
     for worker in workers:
         worker.dismiss()
     for worker in workers:
         worker.end()
 
 
-def share_out(
+def run_tasks(
     function: Callable[..., Outcome], tasks: Sequence[tuple[Any, ...]], workers: int, what: str
 ) -> Generator[tuple[int, Any]]:
-    """Call ``function(*task)`` for all tasks in some workers; yield number and value of each when it is there.
+    """Run ``function(*task)`` for all tasks in several workers; yield the number and value of each task as it ends.
 
-    Close what this returns where it is not used up (contextlib.closing): that ends the workers. Raises what a call
-    raises, and ComputationError, which says ``what`` was lost, where workers die again and again.
+    If not all values are used, close the generator (contextlib.closing): that ends the workers. Raises what a call
+    raises, and ComputationError, which says ``what`` was being done, if more than ``REPLACED`` workers are lost.
     """
     pool: list[Worker] = []
     todo, at = list(range(len(tasks)))[::-1], {}

@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 from dafw.core.cycle import Cycle, Parts, advance, start
 from dafw.core.ensemble import Vehicle
 from dafw.core.errors import ComputationError, ConfigurationError, DafwError, RecordError, RunError
-from dafw.core.files import claim, write_whole
+from dafw.core.files import claim, write_atomically
 from dafw.core.record import Record
 from dafw.core.study import Study
 from dafw.studies.reporting import log_domain, log_file, postfix, progress, sentence, warn_once
@@ -107,7 +107,7 @@ class _Run:
                 self.folder / "run.nc",
                 parts,
                 state,
-                whole=_kept_whole(study, parts),
+                with_members=_with_members(study, parts),
                 section=np.array(study.section, dtype=np.float64).reshape(-1, 2),
                 attributes=file_attributes(study, summary.pinned),
             )
@@ -154,7 +154,7 @@ class _Run:
 
     def _write_summary(self) -> None:
         self.noted = perf_counter()
-        write_whole(self.folder / "summary.json", self.summary.text())
+        write_atomically(self.folder / "summary.json", self.summary.text())
 
     @contextmanager
     def _writing(self) -> Iterator[None]:
@@ -165,7 +165,7 @@ class _Run:
             raise RecordError(f"{self.folder}: the run cannot be written ({type(error).__name__}: {error})") from error
 
 
-def _kept_whole(study: Study, parts: Parts) -> list[str]:
+def _with_members(study: Study, parts: Parts) -> list[str]:
     """Return the names of the variables of which every member is kept."""
     variables = parts.model.space.variables
     if study.record == "all":
@@ -233,5 +233,5 @@ def _keep_configuration(folder: Path, composed: Mapping[str, Any], overrides: li
     from omegaconf import OmegaConf
 
     folder.mkdir(parents=True, exist_ok=True)
-    write_whole(folder / "config.yaml", OmegaConf.to_yaml(dict(composed)))
-    write_whole(folder / "overrides.yaml", OmegaConf.to_yaml(overrides))
+    write_atomically(folder / "config.yaml", OmegaConf.to_yaml(dict(composed)))
+    write_atomically(folder / "overrides.yaml", OmegaConf.to_yaml(overrides))

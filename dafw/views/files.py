@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from matplotlib.figure import Figure
 
 from dafw.core.errors import RunError
-from dafw.core.files import whole_file
+from dafw.core.files import atomic_file
 from dafw.core.runs import open_run
 from dafw.core.sweeps import RECORD, is_sweep, run_folders, sweep_folder
 from dafw.views.contents import has_innovations, has_map, has_section, has_truth, scalar_variables, scored_variable
@@ -156,6 +156,6 @@ def _own_overrides(files: Sequence[Path]) -> list[str]:
 def _save(figure: Figure, file: Path) -> Path:
     """Write the picture; an interrupted save leaves the former one or none."""
     file.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(file) as stream:
+    with atomic_file(file) as stream:
         figure.savefig(stream, format="png", dpi=RESOLUTION, bbox_inches="tight", pad_inches=0.08)
     return file

@@ -28,7 +28,7 @@ def record_run(path, parts=None, cycles=3, members=("rate",), n_members=5):
     parts = parts or toy_parts()
     state = start(parts, n_members, VEHICLE)
     record = Record(
-        path, parts, state, whole=members, section=np.array([[0.0, 0.0], [9.0, 9.0]]), attributes={"seed": 0}
+        path, parts, state, with_members=members, section=np.array([[0.0, 0.0], [9.0, 9.0]]), attributes={"seed": 0}
     )
     done = []
     for _ in range(cycles):

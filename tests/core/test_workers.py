@@ -14,7 +14,7 @@ from waiting import ended
 from dafw.core import workers
 from dafw.core.errors import ComputationError, SolverError
 from dafw.core.making import alive
-from dafw.core.workers import Worker, outcome, share_out, spare_cores
+from dafw.core.workers import Worker, outcome, run_tasks, spare_cores
 
 
 @pytest.fixture(autouse=True)
@@ -23,7 +23,7 @@ def found(monkeypatch):
 
 
 def test_tasks_are_shared_out_and_all_come_back():
-    done = dict(share_out(errands.squared, [(k,) for k in range(7)], 3, "squares"))
+    done = dict(run_tasks(errands.squared, [(k,) for k in range(7)], 3, "squares"))
     assert {number: value for number, (value, _) in done.items()} == {k: k * k for k in range(7)}
     processes = {process for _, process in done.values()}
     assert os.getpid() not in processes and len(processes) <= 3
@@ -33,32 +33,32 @@ def test_tasks_are_shared_out_and_all_come_back():
 def test_a_worker_takes_no_part_in_its_parents_mpi_job(monkeypatch):
     for name in ("PMI_RANK", "PMI_FD", "OMPI_COMM_WORLD_SIZE"):
         monkeypatch.setenv(name, "1")
-    assert list(share_out(errands.ranks_known, [()], 1, "ranks")) == [(0, [])]
+    assert list(run_tasks(errands.ranks_known, [()], 1, "ranks")) == [(0, [])]
 
 
 def test_an_error_is_the_one_line_that_it_is_here():
     with pytest.raises(SolverError, match=r"^no square of 13$"):
-        list(share_out(errands.squared, [(1,), (13,)], 2, "squares"))
+        list(run_tasks(errands.squared, [(1,), (13,)], 2, "squares"))
     with pytest.raises(ComputationError, match=r"^squares raised TypeError: unsupported operand"):
-        list(share_out(errands.squared, [("one",)], 2, "squares"))
+        list(run_tasks(errands.squared, [("one",)], 2, "squares"))
 
 
 def test_a_worker_that_is_killed_is_replaced(tmp_path, caplog):
-    done = dict(share_out(errands.killed_once, [(str(tmp_path / "once"), k) for k in range(3)], 2, "errands"))
+    done = dict(run_tasks(errands.killed_once, [(str(tmp_path / "once"), k) for k in range(3)], 2, "errands"))
     assert done == {k: k for k in range(3)}
     assert "errands: a worker (process" in caplog.text and "killed by signal 9; another does its work" in caplog.text
 
 
 def test_workers_that_die_again_and_again_end_it():
     with pytest.raises(ComputationError, match="3 were lost, at most 2 are replaced"):
-        list(share_out(errands.killed, [()], 2, "errands"))
+        list(run_tasks(errands.killed, [()], 2, "errands"))
 
 
 def test_no_worker_is_left_where_nobody_wants_the_rest(tmp_path, monkeypatch):
     made = []
     monkeypatch.setattr(workers, "Worker", lambda: made.append(Worker()) or made[-1])
     done = tmp_path / "done"
-    with closing(share_out(errands.slow, [(0.0,), (600.0, str(done))], 2, "errands")) as tasks:
+    with closing(run_tasks(errands.slow, [(0.0,), (600.0, str(done))], 2, "errands")) as tasks:
         next(tasks)
     assert len(made) == 2 and not any(alive(worker.process.pid) for worker in made)
     assert not done.exists()
@@ -77,9 +77,9 @@ def test_workers_end_with_the_process_that_wants_them(number, tmp_path):
     script = tmp_path / "script.py"  # no `if __name__ == "__main__"`
     script.write_text(
         f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
-        "import errands; from dafw.core.workers import share_out\n"
+        "import errands; from dafw.core.workers import run_tasks\n"
         "print('begun', flush=True)\n"
-        "for _, process in share_out(errands.slow, [(0.0,), (0.0,), (600.0,), (600.0,)], 2, 'errands'):\n"
+        "for _, process in run_tasks(errands.slow, [(0.0,), (0.0,), (600.0,), (600.0,)], 2, 'errands'):\n"
         "    print(process, flush=True)\n"
     )
     with subprocess.Popen([sys.executable, script], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as run:

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from dafw.core.workers import Outcome, outcome, share_out, spare_cores
+from dafw.core.workers import Outcome, outcome, run_tasks, spare_cores
 from dafw.plugins.models.dispersion.mesh.load import load
 from dafw.plugins.models.dispersion.wind.options import WindOptions
 from dafw.plugins.models.dispersion.wind.solution import WindError
@@ -97,7 +97,7 @@ def _rows(
     else:
         options = pickle.dumps(solver.options)
         tasks = [(mesh_file, options, direction) for direction in directions]
-        yield from share_out(_row_in_worker, tasks, workers, "reduced basis")
+        yield from run_tasks(_row_in_worker, tasks, workers, "reduced basis")
 
 
 def row(solver: WindSolver, direction: float) -> Snapshots:
