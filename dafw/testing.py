@@ -1,8 +1,9 @@
 """The conformance kit: does a plugin do what its interface promises?
 
-``check_filter(factory)`` and its three sisters run every check of their kind on the plugins that ``factory()`` makes,
-return the outcomes, and raise ConformanceError naming every check that failed. ``run_checks`` yields the outcomes one
-by one. Checks that a plugin does not mean to pass it declares, with a reason, in ``expected_failures``.
+``check_filter(factory)``, ``check_model(factory)`` and so on run every check of their kind on the plugins that
+``factory()`` makes, return the outcomes, and raise ConformanceError naming every check that failed. ``run_checks``
+yields the outcomes one by one. Checks that a plugin does not mean to pass it declares, with a reason, in
+``expected_failures``.
 docs/conformance.md says what each check is for.
 
 >>> from dafw.testing import check_filter
@@ -18,10 +19,12 @@ from dafw.authoring.kit import (
     Check,
     ConformanceError,
     Outcome,
+    check_executor,
     check_filter,
     check_model,
     check_observer,
     check_policy,
+    check_readings,
     run_check,
     run_checks,
 )
@@ -31,10 +34,12 @@ __all__ = [
     "Check",
     "ConformanceError",
     "Outcome",
+    "check_executor",
     "check_filter",
     "check_model",
     "check_observer",
     "check_policy",
+    "check_readings",
     "run_check",
     "run_checks",
 ]

@@ -11,7 +11,7 @@ from fresh import ROOT, environment
 from dafw.testing import CHECKS
 
 DOCS = ROOT / "docs"
-GUIDES = ("write-a-filter.md", "write-a-model.md", "write-a-policy.md")
+GUIDES = ("write-a-filter.md", "write-a-model.md", "write-a-policy.md", "write-a-smoother.md")
 BLOCK = re.compile(r'^```(\w+)(?: title="([^"\n]+)")?\n(.*?)^```$', re.MULTILINE | re.DOTALL)
 
 

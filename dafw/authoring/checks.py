@@ -8,8 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import wraps
 from time import perf_counter
 from typing import Any
+
+from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from dafw.core.errors import ComputationError
 from dafw.core.hookspecs import PluginSpec
@@ -64,7 +67,14 @@ def check(kind: str) -> Callable[[Callable[[Factory], None]], Callable[[Factory]
 
     def register(function: Callable[[Factory], None]) -> Callable[[Factory], None]:
         reason = " ".join((function.__doc__ or "").split())
-        CHECKS[kind][function.__name__] = Check(kind, function.__name__, reason, function)
+
+        @wraps(function)
+        def run(factory: Factory) -> None:
+            # As studies run: with several threads the small matrices of the checks are slower, not quicker.
+            with threadpool_limits(limits=1, user_api="blas"):
+                function(factory)
+
+        CHECKS[kind][function.__name__] = Check(kind, function.__name__, reason, run)
         return function
 
     return register

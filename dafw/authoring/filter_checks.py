@@ -3,43 +3,46 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 
-from dafw.authoring.asking import ask
 from dafw.authoring.checks import ConformanceError, Factory, NotApplicable, check, require
-from dafw.authoring.evidence import (
-    frozen,
-    global_generators,
-    no_global_draws,
-    require_close,
-    require_same_bits,
-    restored,
-)
+from dafw.authoring.evidence import global_generators, no_global_draws, require_close, require_same_bits
 from dafw.authoring.filter_trials import (
     ROUNDING,
     accepted,
-    analysed,
+    asked,
+    inflation_option,
     moments,
+    plain,
     problems,
     require_equal_law,
-    unlocalized,
+    shares,
+    with_option,
 )
-from dafw.authoring.problems import gas_problem, gas_space, linear_problem
+from dafw.authoring.problems import Problem, gas_problem, gas_space, linear_problem
+from dafw.authoring.small_study import after, require_same_cycles, study_of, watched
+from dafw.core.cycle import Cycle
 from dafw.core.ensemble import Ensemble, Memory
 from dafw.core.observation import Observation
 from dafw.core.space import Array
+from dafw.core.window import Window
+
+WORTHLESS = 1e16
+"""Factor on R that leaves readings without any worth."""
 
 
 @check("filter")
 def shapes(factory: Factory) -> None:
     """An analysis has the forecast's shape and finite numbers, for few and many members, with one reading or many, with a diagonal and a full R, and with no reading at all."""  # noqa: E501
-    for name, problem in problems(factory()):
+    for name, problem in problems(factory):
         try:
-            analysed(factory(), problem)
+            asked(factory, problem)
             nothing = problem.in_order(np.empty(0, dtype=np.int64))
-            members = analysed(factory(), nothing).members
-            require_same_bits(members, problem.forecast.members, "no readings, and another belief")
+            last = asked(factory, problem, problem, nothing)[-1]
+            require_same_bits(after(last).members, last.forecast.members, "no readings, and another belief")
+            require_same_bits(after(last).weights, last.forecast.weights, "no readings, and other weights")
         except Exception as error:
             raise ConformanceError(f"{name}: {' '.join(str(error).split()) or type(error).__name__}") from error
 
@@ -47,20 +50,19 @@ def shapes(factory: Factory) -> None:
 @check("filter")
 def inputs_unchanged(factory: Factory) -> None:
     """Forecast, predicted readings, observation and memory are left as they were handed in: others still need them."""
-    filter_, problem = factory(), linear_problem(8)
-    memory = filter_.initial_memory(len(problem.forecast))
-    observation, predicted, members = problem.observation, problem.predicted, problem.forecast.members
 
-    def now() -> dict[str, bytes]:
-        parts = {"the forecast's members": members, "the predicted readings": predicted, "the memory": memory}
-        parts |= {"the readings": observation.values, "R": observation.covariance}
-        return {name: frozen(value) for name, value in parts.items()}
+    def handed(first: Ensemble | Window, *rest: Any) -> dict[str, Any]:
+        if isinstance(first, Window):
+            return _named(first.forecast.ensemble, first.predicted, first.observation, first.memory)
+        return _named(first, *rest)
 
-    before = now()
-    for _ in range(2):
-        ask(filter_, problem.forecast, predicted, observation, memory, np.random.default_rng(0))
-    changed = [name for name, bits in now().items() if bits != before[name]]
-    require(not changed, f"an analysis changed {', '.join(changed)}")
+    study_of(linear_problem(8)).run(lambda: watched(factory(), handed))
+
+
+def _named(forecast: Ensemble, predicted: Array, observation: Observation, memory: Memory | None) -> dict[str, Any]:
+    parts: dict[str, Any] = {"the forecast's members": forecast.members, "the forecast's weights": forecast.weights}
+    parts |= {"the predicted readings": predicted, "the memory": memory}
+    return parts | {"the readings": observation.values, "R": observation.covariance}
 
 
 @check("filter")
@@ -69,17 +71,17 @@ def determinism(factory: Factory) -> None:
     for m in (1, 3):
         problem = linear_problem(8, 5, m)
         with global_generators():
-            first = analysed(factory(), problem).members
+            first = asked(factory, problem)
         with global_generators():
-            second = analysed(factory(), problem).members
-        require_same_bits(first, second, f"m = {m}: two analyses of the same differ")
+            second = asked(factory, problem)
+        require_same_cycles(first, second, f"m = {m}: two analyses of the same differ")
 
 
 @check("filter")
 def own_generator(factory: Factory) -> None:
     """Random numbers come from the generator handed in: global ones are shared, and change when anything else does."""
     with no_global_draws():
-        analysed(factory(), linear_problem(6))
+        asked(factory, linear_problem(6))
 
 
 @check("filter")
@@ -88,19 +90,22 @@ def told_covariance(factory: Factory) -> None:
     problem = linear_problem(8)
     operator = dataclasses.replace(problem.operator, noise_covariance=7.0 * problem.operator.covariance)
     other = dataclasses.replace(problem, operator=operator)
-    first, second = analysed(factory(), problem).members, analysed(factory(), other).members
-    require_same_bits(first, second, "the analysis changes with a noise that the filter is not told")
+    message = "it changes with a noise that the filter is not told"
+    require_same_cycles(asked(factory, problem), asked(factory, other), message)
 
 
 @check("filter")
 def member_order(factory: Factory) -> None:
-    """Members are exchangeable: a forecast with its members in another order has the same analysis in that order."""
+    """Members are exchangeable: a forecast with its members in another order has the same analysis in that order, weights included."""  # noqa: E501
     order = np.array([3, 0, 5, 1, 4, 2])
     problem = linear_problem(len(order), 4)
     turned = problem.with_members(problem.forecast.members[order])
-    message = "the analysis depends on the order of the members"
     back = (np.arange(len(order)), np.argsort(order))
-    require_equal_law(factory, problem, turned, lambda members, which: members[back[which]].ravel(), message)
+
+    def in_order(belief: Ensemble, which: int) -> Array:
+        return np.column_stack([belief.members, shares(belief)])[back[which]].ravel()
+
+    require_equal_law(factory, problem, turned, in_order, "it depends on the order of the members")
 
 
 @check("filter")
@@ -109,17 +114,44 @@ def reading_order(factory: Factory) -> None:
     for full in (False, True):
         problem = linear_problem(8, 5, 4, full=full)
         turned = problem.in_order(np.array([2, 0, 3, 1]))
-        message = f"the analysis depends on the order of the readings ({'full' if full else 'diagonal'} R)"
-        require_equal_law(factory, problem, turned, lambda members, _: moments(members), message)
+        message = f"it depends on the order of the readings ({'full' if full else 'diagonal'} R)"
+        require_equal_law(factory, problem, turned, lambda belief, _: moments(belief), message)
+
+
+def _worthless(factory: Factory, problem: Problem) -> list[tuple[int, Cycle]]:
+    """Return the number and the cycle of analyses whose readings are worth nothing.
+
+    That is the first, and the third after two of readings that are worth something. A filter that looks back may weigh
+    those once more: all of its readings are worth nothing.
+    """
+    nothing = problem.with_errors(WORTHLESS)
+    if factory().window != 0:
+        return list(enumerate(asked(factory, nothing), 1))
+    return [(1, asked(factory, nothing)[0]), (3, asked(factory, problem, problem, nothing)[-1])]
 
 
 @check("filter")
 def prior_kept(factory: Factory) -> None:
     """Readings that are worth nothing (R without bound) leave mean and covariance of the forecast as they were."""
     for full in (False, True):
-        problem = linear_problem(8, 5, 3, full=full).with_errors(1e16)
-        found = moments(analysed(factory(), problem).members)
-        require_close(found, moments(problem.forecast.members), 1e-6, "with R -> infinity the prior has changed")
+        for number, cycle in _worthless(plain(factory), linear_problem(8, 5, 3, full=full)):
+            message = f"analysis {number}: with R -> infinity the prior has changed"
+            require_close(moments(after(cycle)), moments(cycle.forecast), 1e-6, message)
+
+
+@check("filter")
+def inflation(factory: Factory) -> None:
+    """Inflation widens a forecast whose readings are worth nothing by its factor, whatever it is, about the same mean."""  # noqa: E501
+    name = inflation_option(factory())
+    if name is None:
+        raise NotApplicable("has no option 'inflation' and declares no other as inflation_option")
+    for factor in (1.05, 1.5, 3.0):
+        for number, cycle in _worthless(with_option(plain(factory), **{name: factor}), linear_problem(8)):
+            mean = cycle.forecast.mean
+            expected = moments(cycle.forecast)
+            expected[len(mean) :] *= factor**2
+            message = f"analysis {number}: with R -> infinity and {name} = {factor} the spread is not {factor} times"
+            require_close(moments(after(cycle)), expected, 1e-6, f"{message} the forecast's")
 
 
 @check("filter")
@@ -131,62 +163,54 @@ def angle_seam(factory: Factory) -> None:
         step = np.zeros(space.size)
         step[angle] = turn
         turned = problem.with_members(space.retract(problem.forecast.members, step))
-        first, second = analysed(factory(), problem).members, analysed(factory(), turned).members
-        off = space.difference(second, first + step)
-        message = f"a belief whose directions are turned by {turn:.3g} rad has another analysis"
-        require_close(off, np.zeros_like(off), ROUNDING, message)
+        pairs = zip(asked(factory, problem, still=True), asked(factory, turned, still=True), strict=True)
+        for number, (first, second) in enumerate(pairs, 1):
+            off = space.difference(after(second).members, after(first).members + step)
+            message = f"analysis {number}: a belief whose directions are turned by {turn:.3g} rad has another analysis"
+            require_close(off, np.zeros_like(off), ROUNDING, message)
 
 
 @check("filter")
 def stays_in_set(factory: Factory) -> None:
     """Analyses stay where the state may be: what cannot be negative is not, and angles lie in [0, 2 pi)."""
-    space = gas_space()
     for seed, direction in enumerate((0.05, 3.0, 6.25)):
         problem = accepted(factory, gas_problem(direction, seed))
-        members = space.unpack(analysed(factory(), problem, seed).members)
-        for name in ("concentration", "wind_speed"):
-            lowest = members[name].min()
-            require(lowest >= 0.0, f"'{name}' is nonnegative, the analysis holds {lowest:.3g}")
-        angles = members["wind_direction"]
-        outside = angles[(angles < 0.0) | (angles >= 2.0 * np.pi)]
-        require(outside.size == 0, f"an angle lies in [0, 2 pi), the analysis holds {outside[:1]}")
+        for cycle in asked(factory, problem, seed=seed, still=True):
+            require_in_set(after(cycle), "the analysis")
+
+
+def require_in_set(belief: Ensemble, what: str) -> None:
+    """Raise ConformanceError where a member of ``gas_space`` lies where the state may not be."""
+    members = belief.space.unpack(belief.members)
+    for name in ("concentration", "wind_speed"):
+        lowest = members[name].min()
+        require(lowest >= 0.0, f"'{name}' is nonnegative, {what} holds {lowest:.3g}")
+    angles = members["wind_direction"]
+    outside = angles[(angles < 0.0) | (angles >= 2.0 * np.pi)]
+    require(outside.size == 0, f"an angle lies in [0, 2 pi), {what} holds {outside[:1]}")
 
 
 @check("filter")
 def infinite_radius(factory: Factory) -> None:
     """With a localization radius without bound the analysis is the global one: it matters no longer where readings are."""  # noqa: E501
-    plain = factory()
-    if plain.localization_option is None:
+    option = factory().localization_option
+    if option is None:
         raise NotApplicable("declares no localization_option")
     problem = linear_problem(8, 6, 3)
     elsewhere = problem.with_places(np.array([[290.0, 5.0], [-40.0, 80.0], [10.0, -60.0]]))
-    first, second = (analysed(unlocalized(plain), each).members for each in (problem, elsewhere))
-    require_close(second, first, ROUNDING, f"with {plain.localization_option} -> infinity places still matter")
+    first, second = (asked(plain(factory), each) for each in (problem, elsewhere))
+    for one, other in zip(first, second, strict=True):
+        message = f"with {option} -> infinity places still matter"
+        require_close(after(other).members, after(one).members, ROUNDING, message)
 
 
 @check("filter")
 def restart(factory: Factory) -> None:
     """A run cut off after any cycle and continued from its file has the same bits: nothing is remembered on the plugin."""  # noqa: E501
+    problem = linear_problem(6)
+    study = study_of(*(dataclasses.replace(problem, values=problem.values + 0.1 * cycle) for cycle in range(5)))
     with global_generators():
-        whole = _cycles(factory, fresh=False)
+        whole = study.run(factory)
     with global_generators():
-        pieces = _cycles(factory, fresh=True)
-    for cycle, (first, second) in enumerate(zip(whole, pieces, strict=True), 1):
-        require_same_bits(first, second, f"cycle {cycle}: the analysis differs in a run that was cut off before it")
-
-
-def _cycles(factory: Factory, *, fresh: bool) -> list[Array]:
-    """Run five cycles; ``fresh``: as if each were run by a new process that reads what the last one wrote."""
-    filter_, problem = factory(), linear_problem(6)
-    members, history = problem.forecast.members, []
-    memory: Memory | None = filter_.initial_memory(len(members))
-    for cycle in range(5):
-        if fresh:
-            filter_, memory = factory(), restored(memory)
-        forecast = Ensemble(1.1 * members, problem.forecast.space, float(cycle))
-        observation = Observation(problem.values + 0.1 * cycle, problem.operator, float(cycle))
-        predicted = problem.operator.apply(forecast.members)
-        analysis = ask(filter_, forecast, predicted, observation, memory, np.random.default_rng(cycle))
-        members, memory = analysis.members, analysis.memory
-        history.append(members)
-    return history
+        pieces = study.run(factory, cut=True)
+    require_same_cycles(whole, pieces, "it differs in a run that was cut off before it")

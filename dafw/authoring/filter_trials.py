@@ -1,17 +1,19 @@
-"""How the checks try a filter: the problems it is given, and how two of its analyses are held against each other."""
+"""How the checks try a filter: the problems it is given, and how its analyses are held against each other."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 
-from dafw.authoring.asking import ask
 from dafw.authoring.checks import ConformanceError, Factory, NotApplicable
-from dafw.authoring.evidence import require_close, require_mean, state_of
+from dafw.authoring.evidence import require_close, require_mean
 from dafw.authoring.problems import Problem, linear_problem
-from dafw.core.ensemble import Analysis
+from dafw.authoring.small_study import after, study_of
+from dafw.core.cycle import Cycle
+from dafw.core.ensemble import Ensemble
 from dafw.core.errors import ConfigurationError
 from dafw.core.interfaces import Filter
 from dafw.core.space import Array
@@ -21,17 +23,15 @@ SEEDS = 64
 ROUNDING = 1e-8
 
 
-def analysed(filter_: Filter, problem: Problem, seed: int = 0) -> Analysis:
-    """Return the filter's first analysis of the problem."""
-    memory = filter_.initial_memory(len(problem.forecast))
-    rng = np.random.default_rng(seed)
-    return ask(filter_, problem.forecast, problem.predicted, problem.observation, memory, rng)
+def asked(factory: Factory, problem: Problem, *later: Problem, seed: int = 0, still: bool = False) -> list[Cycle]:
+    """Return the cycles of a small study of the problem: three analyses where no later problems are given."""
+    return study_of(problem, *later, still=still).run(factory, seed=seed)
 
 
-def declines(filter_: Filter, problem: Problem) -> str:
-    """Return why the filter refuses the problem by a ConfigurationError, or nothing where it does not."""
+def declines(factory: Factory, problem: Problem, *, still: bool = False) -> str:
+    """Return why a filter refuses the problem by a ConfigurationError, or nothing where it does not."""
     try:
-        analysed(filter_, problem)
+        asked(factory, problem, still=still)
     except ConfigurationError as error:
         return str(error)
     except Exception:
@@ -40,63 +40,96 @@ def declines(filter_: Filter, problem: Problem) -> str:
 
 
 def accepted(factory: Factory, problem: Problem) -> Problem:
-    """Return the problem; raises NotApplicable where the filter declines it."""
-    if reason := declines(factory(), problem):
+    """Return a problem that does not move; raises NotApplicable where the filter declines it."""
+    if reason := declines(factory, problem, still=True):
         raise NotApplicable(reason)
     return problem
 
 
-def moments(members: Array) -> Array:
-    """Return mean and covariance of members (N, n) in one row (n + n * n,)."""
-    return np.concatenate([members.mean(axis=0), np.cov(members, rowvar=False).ravel()])
+def moments(ensemble: Ensemble) -> Array:
+    """Return mean and covariance in one row (n + n * n,), weighted where the members have weights.
+
+    The covariance is unbiased: for independent members, and with weights w by the divisor 1 - sum w^2.
+    """
+    anomalies, weights = ensemble.anomalies, ensemble.weights
+    if weights is None:
+        covariance = anomalies.T @ anomalies / (len(ensemble) - 1)
+    else:
+        covariance = (weights[:, np.newaxis] * anomalies).T @ anomalies / (1.0 - weights @ weights)
+    return np.concatenate([ensemble.mean, covariance.ravel()])
 
 
-def draws(filter_: Filter, problem: Problem) -> bool:
-    """Say whether the filter draws from the generator that it is handed."""
-    rng = np.random.default_rng(0)
-    before = state_of(rng)
-    memory = filter_.initial_memory(len(problem.forecast))
-    ask(filter_, problem.forecast, problem.predicted, problem.observation, memory, rng)
-    return state_of(rng) != before
+def shares(ensemble: Ensemble) -> Array:
+    """Return how much each member counts (N,): its weight times N."""
+    return np.ones(len(ensemble)) if ensemble.weights is None else len(ensemble) * ensemble.weights
 
 
 def require_equal_law(
-    factory: Factory, first: Problem, second: Problem, summary: Callable[[Array, int], Array], message: str
+    factory: Factory, first: Problem, second: Problem, summary: Callable[[Ensemble, int], Array], message: str
 ) -> None:
-    """Raise unless both problems have the same analysis: to rounding, or on average where the filter draws numbers.
+    """Raise unless both problems have the same analyses: to rounding, or on average where the filter draws numbers.
 
-    ``summary(members, which)`` turns the analysis of problem 0 or 1 into the numbers (k,) that must agree.
+    ``summary(belief, which)`` turns a belief after an analysis of problem 0 or 1 into the numbers (k,) that must agree.
     """
-    filter_ = factory()
-    if not draws(filter_, first):
-        pair = [summary(analysed(filter_, problem).members, which) for which, problem in enumerate((first, second))]
-        require_close(pair[1], pair[0], ROUNDING, message)
+
+    def summaries(which: int, seed: int) -> Array:
+        cycles = asked(factory, (first, second)[which], seed=seed)
+        return np.stack([summary(after(cycle), which) for cycle in cycles])
+
+    pair = summaries(0, 0), summaries(1, 0)
+    if np.array_equal(pair[0], summaries(0, 1)):  # another seed makes no difference
+        for number, (one, other) in enumerate(zip(*pair, strict=True), 1):
+            require_close(other, one, ROUNDING, f"analysis {number}: {message}")
         return
-    differences = [
-        summary(analysed(filter_, second, SEEDS + seed).members, 1) - summary(analysed(filter_, first, seed).members, 0)
-        for seed in range(SEEDS)
-    ]
-    require_mean(np.array(differences), np.zeros(len(differences[0])), message)
+    differences = np.array([summaries(1, SEEDS + seed) - summaries(0, seed) for seed in range(SEEDS)])
+    for number in range(differences.shape[1]):
+        of_one = differences[:, number]
+        require_mean(of_one, np.zeros(of_one.shape[1]), f"analysis {number + 1}: {message}")
 
 
-def problems(filter_: Filter) -> Iterator[tuple[str, Problem]]:
+def problems(factory: Factory) -> Iterator[tuple[str, Problem]]:
     """Name problems of every shape: N > n, N = n, N < n, N = 2; one reading, fewer and more than numbers; full R.
 
     A filter may decline any of them but the first.
     """
+    smallest = factory().smallest_ensemble
     for n_members, n, m in ((9, 4, 3), (9, 4, 1), (9, 4, 6), (4, 4, 2), (5, 12, 3), (2, 4, 1), (1, 4, 2)):
         for full in (False, True):
             problem = linear_problem(n_members, n, m, full=full)
-            if (n_members, m) == (9, 3) or (n_members >= filter_.smallest_ensemble and not declines(filter_, problem)):
+            if (n_members, m) == (9, 3) or (n_members >= smallest and not declines(factory, problem)):
                 yield f"N = {n_members}, n = {n}, m = {m}, {'full' if full else 'diagonal'} R", problem
 
 
-def unlocalized(filter_: Filter) -> Filter:
-    """Return the filter with a localization radius without bound, where it has one."""
-    if filter_.localization_option is None:
-        return filter_
-    if not dataclasses.is_dataclass(filter_):
-        raise ConformanceError(f"{filter_.label} is no dataclass")
-    copy: Filter = dataclasses.replace(filter_, **{filter_.localization_option: 1e30})
-    copy.name = filter_.name
-    return copy
+def with_option(factory: Factory, **options: Any) -> Factory:
+    """Return a factory of the same filters with some options set."""
+
+    def make() -> Filter:
+        filter_: Any = factory()
+        if not dataclasses.is_dataclass(type(filter_)):
+            raise ConformanceError(f"{type(filter_).__name__} is no dataclass")
+        copy: Filter = dataclasses.replace(filter_, **options)
+        copy.name = filter_.name
+        return copy
+
+    return make
+
+
+def has_option(filter_: Filter, name: str) -> bool:
+    """Say whether the filter has an option of that name."""
+    return dataclasses.is_dataclass(filter_) and any(f.name == name and f.init for f in dataclasses.fields(filter_))
+
+
+def inflation_option(filter_: Filter) -> str | None:
+    """Return the name of the option that inflates the anomalies; None where there is none."""
+    name = filter_.inflation_option
+    return name if name is not None and has_option(filter_, name) else None
+
+
+def plain(factory: Factory) -> Factory:
+    """Return a factory of the same filters without localization and without inflation."""
+    options: dict[str, float] = {}
+    if (radius := factory().localization_option) is not None:
+        options[radius] = 1e30
+    if (inflation := inflation_option(factory())) is not None:
+        options[inflation] = 1.0
+    return with_option(factory, **options) if options else factory

@@ -1,8 +1,17 @@
-"""The checks of all four kinds of plugins, and what runs them; public as ``dafw.testing``."""
+"""The checks of all kinds of plugins, and what runs them; public as ``dafw.testing``."""
 
 from __future__ import annotations
 
-from dafw.authoring import filter_checks, filter_kalman, model_checks, observer_checks, policy_checks
+from dafw.authoring import (
+    executor_checks,
+    filter_checks,
+    filter_kalman,
+    filter_windows,
+    model_checks,
+    observer_checks,
+    policy_checks,
+    readings_checks,
+)
 from dafw.authoring.checks import CHECKS, Check, ConformanceError, Factory, Outcome, demand, run_check, run_checks
 
 __all__ = [
@@ -10,15 +19,26 @@ __all__ = [
     "Check",
     "ConformanceError",
     "Outcome",
+    "check_executor",
     "check_filter",
     "check_model",
     "check_observer",
     "check_policy",
+    "check_readings",
     "run_check",
     "run_checks",
 ]
 
-_FAMILIES = (model_checks, observer_checks, policy_checks, filter_checks, filter_kalman)
+_FAMILIES = (
+    model_checks,
+    observer_checks,
+    policy_checks,
+    filter_checks,
+    filter_kalman,
+    filter_windows,
+    readings_checks,
+    executor_checks,
+)
 
 
 def check_model(factory: Factory) -> list[Outcome]:
@@ -39,3 +59,13 @@ def check_policy(factory: Factory) -> list[Outcome]:
 def check_filter(factory: Factory) -> list[Outcome]:
     """Check the filters that ``factory()`` makes; raises ConformanceError."""
     return demand("filter", factory)
+
+
+def check_readings(factory: Factory) -> list[Outcome]:
+    """Check the sources of readings that ``factory()`` makes; raises ConformanceError."""
+    return demand("readings", factory)
+
+
+def check_executor(factory: Factory) -> list[Outcome]:
+    """Check the executors that ``factory()`` makes; raises ConformanceError."""
+    return demand("executor", factory)

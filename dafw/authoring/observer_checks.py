@@ -88,8 +88,28 @@ def _readings(observer: Observer) -> list[Array]:
     return [
         part
         for _, _, operator in _operators(observer)
-        for part in (operator.apply(ensemble.members), operator.covariance, operator.noise)
+        for part in (operator.apply(ensemble.members), operator.covariance, operator.noise, *_reported(operator))
     ]
+
+
+def _reported(operator: ObservationOperator) -> list[Array]:
+    """Return the values of the diagnostics by name."""
+    return [np.asarray(operator.diagnostics[name].values) for name in sorted(operator.diagnostics)]
+
+
+@check("observer")
+def diagnostics(factory: Factory) -> None:
+    """What an observer reports has the same axes and lengths in every cycle: a run file has one variable for it."""
+    first: dict[tuple[str, int], tuple[tuple[str, ...], tuple[int, ...]]] = {}
+    for route, t, operator in _operators(factory()):
+        for name, reported in operator.diagnostics.items():
+            found = tuple(reported.dims), np.shape(reported.values)
+            expected = first.setdefault((name, len(route.paths)), found)  # the number of vehicles is the run's own
+            require(
+                found == expected,
+                f"'{name}' has the axes {found[0]} and the shape {found[1]} at t = {t:g} s, "
+                f"and had {expected[0]} and {expected[1]} before",
+            )
 
 
 @check("observer")
@@ -113,3 +133,5 @@ def restart(factory: Factory) -> None:
         message = f"at t = {t:g} s a fresh observer reads something else"
         require_same_bits(operator.apply(members), fresh.apply(members), message)
         require_same_bits(operator.covariance, fresh.covariance, f"{message}: another R")
+        for used_value, fresh_value in zip(_reported(operator), _reported(fresh), strict=True):
+            require_same_bits(used_value, fresh_value, f"{message}: another diagnostic")

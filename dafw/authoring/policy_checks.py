@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -17,13 +16,18 @@ from dafw.authoring.evidence import (
     require_same_bits,
     restored,
 )
-from dafw.authoring.problems import Linear, airspace, belief, gas_space, vehicles
+from dafw.authoring.problems import airspace, belief, gas_space, vehicles
+from dafw.authoring.small_study import Mover
 from dafw.core.cycle import Parts, advance, start
-from dafw.core.ensemble import Analysis, Ensemble, Memory, Route, Vehicle
-from dafw.core.interfaces import Filter, Model, Observer, Policy
-from dafw.core.observation import Observation, ObservationOperator
-from dafw.core.rng import MemberStreams, Streams
+from dafw.core.ensemble import Ensemble, Forecast, Memory, Vehicle
+from dafw.core.executors.serial import Serial
+from dafw.core.interfaces import Policy
+from dafw.core.rerun import Rerun
+from dafw.core.rng import Streams
 from dafw.core.space import Array, StateSpace
+from dafw.core.window import Outlook
+from dafw.plugins.filters.none import NoFilter
+from dafw.plugins.observers.none import NoObserver
 from dafw.plugins.readings.twin import Twin
 
 CYCLES = 4
@@ -46,13 +50,23 @@ def flown(
     for cycle in range(cycles):
         if fresh:
             policy, memory = factory(), restored(memory)
-        seen = belief(space_for(policy), seed=cycle)
-        seen = Ensemble(seen.members[list(order)], seen.space, float(cycle))
-        route = policy.route(seen, vehicle, memory, np.random.default_rng(cycle))
+        view = outlook(space_for(policy), vehicle, memory, cycle, order)
+        route = policy.route(view.belief.ensemble, vehicle, memory, np.random.default_rng(cycle), view)
         paths += route.paths
         memory = route.memory
         vehicle = Vehicle(route.ends, vehicle.speed, vehicle.dt, vehicle.airspace)
     return paths
+
+
+def outlook(
+    space: StateSpace, vehicle: Vehicle, memory: Memory | None, cycle: int, order: Sequence[int] = range(6)
+) -> Outlook:
+    """Return a belief with a model whose memory it carries, and the means to run that model on."""
+    seen = belief(space, seed=cycle)
+    seen = Ensemble(seen.members[list(order)], space, float(cycle))
+    model = Mover(space, seen.members, remembers=True)
+    forecast = Forecast(seen, model.initial_memory(seen.members))
+    return Outlook(forecast, vehicle, memory, cycle, Rerun(model, Serial(), Streams(0)))
 
 
 @check("policy")
@@ -74,15 +88,18 @@ def free_airspace(factory: Factory) -> None:
 
 @check("policy")
 def inputs_unchanged(factory: Factory) -> None:
-    """A decision leaves belief, vehicle and memory as they were handed in: the cycle still needs them."""
+    """A decision leaves the belief with its model's memory, the vehicle and the policy's memory as they were handed in: the cycle still needs them."""  # noqa: E501
     policy, vehicle = factory(), vehicles(2)
-    seen, memory = belief(space_for(policy)), policy.initial_memory(vehicle)
-    for _ in range(2):
-        before = [frozen(part) for part in (seen.members, vehicle.positions, memory)]
-        route = policy.route(seen, vehicle, memory, np.random.default_rng(0))
-        after = [frozen(part) for part in (seen.members, vehicle.positions, memory)]
-        for name, a, b in zip(("the belief", "the vehicle", "the memory"), before, after, strict=True):
-            require(a == b, f"a decision changed {name}")
+    memory = policy.initial_memory(vehicle)
+    for cycle in range(2):
+        view = outlook(space_for(policy), vehicle, memory, cycle)
+        seen = view.belief
+        parts = {"the belief": seen.ensemble.members, "the model's memory": seen.memory}
+        parts |= {"the vehicle": vehicle.positions, "the memory": memory}
+        before = {name: frozen(part) for name, part in parts.items()}
+        route = policy.route(seen.ensemble, vehicle, memory, np.random.default_rng(0), view)
+        changed = [name for name, part in parts.items() if frozen(part) != before[name]]
+        require(not changed, f"a decision changed {', '.join(changed)}")
         memory = route.memory
 
 
@@ -131,53 +148,26 @@ def _require_same_ways(first: list[Array], second: list[Array], message: str) ->
 def truth_blind(factory: Factory) -> None:
     """No cheating: with the truth exchanged behind its back, every decision is the same."""
     space = space_for(factory())
-    model = _Still(space)
+    members = belief(space).members
+
+    def mover(factor: float) -> Mover:
+        return Mover(space, space.retract(factor * members, np.zeros(space.size)), remembers=True)
+
     for other in (0.25, 4.0):
         _require_same_ways(
-            _decisions(factory(), model, _Still(space, 1.0)),
-            _decisions(factory(), model, _Still(space, other)),
+            _decisions(factory(), mover(1.0), mover(1.0)),
+            _decisions(factory(), mover(1.0), mover(other)),
             "with another truth, and the same belief, the vehicle flies elsewhere",
         )
 
 
-def _decisions(policy: Policy, model: Model, truth: Model) -> list[Array]:
+def _decisions(policy: Policy, model: Mover, truth: Mover) -> list[Array]:
     """Return the ways flown in a study whose belief never hears of the truth."""
-    parts = Parts(model, truth, None, _Nothing(), policy, _Unmoved(), Twin(), Streams(0))
-    state = start(parts, 6, vehicles(2))
+    parts = Parts(model, truth, None, NoObserver(), policy, NoFilter(), Twin(), Streams(0))
+    state = start(parts, len(model.members), vehicles(2))
     paths: list[Array] = []
     for _ in range(CYCLES):
         cycle = advance(parts, state)
         state = cycle.state
         paths += cycle.route.paths
     return paths
-
-
-@dataclass
-class _Still(Model):
-    """Nothing happens; the members are a belief times a factor."""
-
-    space: StateSpace
-    factor: float = 1.0
-    dt: float = 1.0
-
-    def initial(self, n_members: int, rng: MemberStreams) -> Array:
-        return self.factor * belief(self.space, n_members).members
-
-    def step(self, members: Array, t: float, rng: MemberStreams) -> Array:
-        return members
-
-
-class _Nothing(Observer):
-    """Reads nothing."""
-
-    def operator(self, space: StateSpace, route: Route, t: float) -> ObservationOperator:
-        return Linear(matrix=np.empty((0, space.size)), covariance=np.empty(0))
-
-
-class _Unmoved(Filter):
-    """Believes what it believed."""
-
-    def analyse(
-        self, forecast: Ensemble, predicted: Array, observation: Observation, rng: np.random.Generator
-    ) -> Analysis:
-        return Analysis(forecast.members)

@@ -93,12 +93,15 @@ def prior(n: int) -> tuple[Array, Array]:
     return np.linspace(-1.0, 2.0, n), 2.0 * np.exp(-distance / 2.0)
 
 
-def kalman(mean: Array, covariance: Array, problem: Problem) -> tuple[Array, Array]:
-    """Return the Kalman filter's analysis mean (n,) and covariance (n, n). Kalman (1960), doi:10.1115/1.3662552."""
-    H, R = problem.operator.matrix, problem.operator.covariance  # noqa: N806
+def kalman(mean: Array, covariance: Array, values: Array, operator: Linear) -> Array:
+    """Return the Kalman filter's analysis mean (n,) and covariance (n, n) in one row (n + n * n,).
+
+    Kalman (1960), doi:10.1115/1.3662552.
+    """
+    H, R = operator.matrix, operator.covariance  # noqa: N806
     R = np.diag(R) if R.ndim == 1 else R  # noqa: N806
     K = np.linalg.solve(H @ covariance @ H.T + R, H @ covariance).T  # noqa: N806
-    return mean + K @ (problem.values - H @ mean), covariance - K @ H @ covariance
+    return np.concatenate([mean + K @ (values - H @ mean), (covariance - K @ H @ covariance).ravel()])
 
 
 @cache
@@ -152,6 +155,10 @@ def vehicles(n_vehicles: int, *, speed: float = 10.0, domain: Domain | None = No
 
 
 def routes() -> list[Route]:
-    """Return routes as observers meet them: no vehicle, one that hovers, one that flies, two that fly."""
+    """Return routes as observers meet them: no vehicle, one that hovers, one that flies, two that fly.
+
+    The last is flown in half a second, the others in one.
+    """
     bent = np.array([[120.0, 100.0], [100.0, 100.0], [100.0, 90.0]])
-    return [Route(), Route((bent[:1],)), Route((bent,)), Route((bent, np.array([[10.0, 10.0], [40.0, 50.0]])))]
+    two = (bent, np.array([[10.0, 10.0], [40.0, 50.0]]))
+    return [Route(dt=1.0), Route((bent[:1],), dt=1.0), Route((bent,), dt=1.0), Route(two, dt=1.0), Route(two, dt=0.5)]

@@ -148,14 +148,41 @@ class $Class(Filter):
     inflation: float = option(1.0, "factor on the forecast anomalies", minimum=1.0)
 
     def analyse(self, forecast, predicted, observation, rng):
-        """Return members + (dy + e) Y^T (Y Y^T + (N - 1) I)^-1 A, in units of the readings' errors."""
-        seen = self.inflation * whiten(observation.covariance, predicted - predicted.mean(axis=0))
-        missed = whiten(observation.covariance, observation.values - predicted) + rng.standard_normal(seen.shape)
-        gain = np.linalg.solve(seen.T @ seen + (len(seen) - 1) * np.eye(seen.shape[1]), seen.T @ forecast.anomalies)
-        return Analysis(forecast.space.retract(forecast.members, self.inflation * missed @ gain))
+        """Return mean + A + (dy - Y) (Y^T Y + (N - 1) I)^-1 Y^T A: A and Y inflated, Y, dy in units of the errors."""
+        Y = self.inflation * whiten(observation.covariance, predicted - predicted.mean(0))
+        dy = whiten(observation.covariance, observation.values - predicted.mean(0)) + rng.standard_normal(Y.shape)
+        gain = np.linalg.solve(Y.T @ Y + (len(Y) - 1) * np.eye(Y.shape[1]), Y.T @ forecast.anomalies)
+        return Analysis(forecast.space.retract(forecast.mean, self.inflation * (forecast.anomalies + (dy - Y) @ gain)))
 '''
 
-CODE = {"model": MODEL, "observer": OBSERVER, "policy": POLICY, "filter": FILTER}
+READINGS = '''\
+"""A source of readings to start from: one sensor that says something at the end of every cycle."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dafw import Observation, Readings, Selection, option
+
+
+@dataclass
+class $Class(Readings):
+    """A sensor at one entry of the state's first variable."""
+
+    entry: int = option(0, "entry of the first variable that the sensor reads", minimum=0)
+    noise_sd: float = option(0.1, "standard deviation of the sensor's error", above=0.0)
+
+    def measured(self, time):
+        """Return what the sensor said at a time in seconds: ask your instrument, or look it up in your file."""
+        return 1.0 + np.sin(time)
+
+    def take(self, request, rng):
+        """Return the readings that became known in the cycle that ends at request.end; here it is one."""
+        operator = Selection(indices=np.array([self.entry]), covariance=np.array([self.noise_sd**2]))
+        return [Observation(np.array([self.measured(request.end)]), operator, request.end)]
+'''
+
+CODE = {"model": MODEL, "observer": OBSERVER, "policy": POLICY, "filter": FILTER, "readings": READINGS}
 
 
 def new_plugin(kind: str, name: str, folder: Path) -> list[Path]:

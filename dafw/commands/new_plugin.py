@@ -12,7 +12,7 @@ from dafw.commands.parser import Parser
 def new_plugin_command(words: Sequence[str]) -> int:
     """Write the package and print its files; raises RequestError for a kind, name or folder that cannot be used."""
     parser = Parser(prog="dafw new-plugin", description="Write a package with a plugin to start from, and its test.")
-    parser.add_argument("kind", help="model, observer, policy or filter")
+    parser.add_argument("kind", help="model, observer, policy, filter or readings")
     parser.add_argument("name", help="the plugin's name: small letters, digits and '_'")
     parser.add_argument("folder", type=Path, metavar="DIR", help="a folder that is not there yet")
     asked = parser.parse_args(words)

@@ -4,46 +4,79 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from broken import BROKEN, East, Ends, Walk
+from broken import BROKEN
+from broken.executors import LeavesAProcess, Patient
+from broken.filters import LaterByMemory, LaterOnSelf, Square
+from broken.models import Walk
+from broken.observers import Ends
+from broken.policies import Ahead, East
+from broken.readings import Sensor
+from broken.weights import Weighing
 
 from dafw.authoring.evidence import require_mean
 from dafw.plugins.filters.etkf import ETKF
 from dafw.plugins.filters.none import NoFilter
-from dafw.testing import CHECKS, ConformanceError, check_filter, check_model, check_observer, check_policy, run_checks
+from dafw.testing import CHECKS, ConformanceError, check_filter, run_checks
 
 ALL = [(kind, name) for kind, checks in CHECKS.items() for name in checks]
 # Whoever decides by whim cannot decide the same once more, for whatever reason it is asked.
-IMPLIED = {("policy", "determinism"): ["restart", "truth_blind"]}
-RIGHT = {"model": (check_model, Walk), "observer": (check_observer, Ends), "policy": (check_policy, East)}
+IMPLIED = {
+    ("policy", "determinism"): ["restart", "truth_blind"],
+    ("readings", "determinism"): ["restart", "without_truth"],
+}
 
 
-@pytest.mark.parametrize(("kind", "name"), ALL)
-def test_each_check_has_a_broken_plugin_that_it_alone_catches(kind, name):
-    outcomes = list(run_checks(kind, BROKEN[kind, name]))
+@pytest.fixture(autouse=True)
+def nothing_left():
+    """End the processes that an executor leaves on purpose."""
+    yield
+    for process in LeavesAProcess.started:
+        process.kill()
+        process.wait()
+    LeavesAProcess.started.clear()
+
+
+FAULTS = [(kind, name, plugin) for (kind, name), plugins in BROKEN.items() for plugin in plugins]
+
+
+@pytest.mark.parametrize(("kind", "name", "plugin"), FAULTS, ids=[f"{k}-{n}-{p.__name__}" for k, n, p in FAULTS])
+def test_each_broken_plugin_is_caught_by_its_check_and_no_other(kind, name, plugin):
+    outcomes = list(run_checks(kind, plugin))
     failed = [outcome.check.name for outcome in outcomes if outcome.status == "failed"]
-    assert failed == [
-        name,
-        *IMPLIED.get((kind, name), []),
-    ]
+    assert failed == [name, *IMPLIED.get((kind, name), [])]
 
 
-def test_there_is_no_broken_plugin_without_a_check():
+def test_each_check_has_a_broken_plugin_that_it_alone_catches():
     assert sorted(BROKEN) == sorted(ALL)
 
 
-@pytest.mark.parametrize("kind", RIGHT)
-def test_what_the_faults_were_added_to_is_right(kind):
-    check, plugin = RIGHT[kind]
-    assert all(outcome.status == "passed" for outcome in check(plugin))
+@pytest.mark.parametrize("plugin", [Walk, Ends, East, Ahead, Square, Weighing, Sensor, Patient])
+def test_what_the_faults_were_added_to_is_right(plugin):
+    outcomes = list(run_checks(plugin.kind, plugin))
+    assert {outcome.status for outcome in outcomes} <= {"passed", "not applicable"}
+    assert sum(outcome.status == "passed" for outcome in outcomes) >= 5
+
+
+@pytest.mark.parametrize("plugin", [LaterOnSelf, LaterByMemory])
+def test_a_fault_that_only_later_analyses_have_is_caught(plugin):
+    failed = {outcome.check.name for outcome in run_checks("filter", plugin) if outcome.status == "failed"}
+    assert failed >= {"member_order", "prior_kept", "kalman_exact"}
+    assert ("restart" in failed) == (plugin is LaterOnSelf)
+
+
+def test_inflation_and_localization_are_switched_off_where_the_kalman_filter_is_the_measure():
+    check_filter(lambda: ETKF(inflation=1.3))
 
 
 def test_a_failure_names_plugin_and_check():
     with pytest.raises(ConformanceError, match=r"filter 'Unbounded' does not conform: stays_in_set: failed, .*-"):
-        check_filter(BROKEN["filter", "stays_in_set"])
+        check_filter(BROKEN["filter", "stays_in_set"][0])
 
 
 def test_a_declared_failure_is_shown_with_its_reason():
-    declared = type("Declared", (BROKEN["filter", "prior_kept"],), {"expected_failures": {"prior_kept": "fixed gain"}})
+    declared = type(
+        "Declared", (BROKEN["filter", "prior_kept"][0],), {"expected_failures": {"prior_kept": "fixed gain"}}
+    )
     outcome = {outcome.check.name: outcome for outcome in check_filter(declared)}["prior_kept"]
     assert (outcome.status, outcome.detail, outcome.ok) == ("expected failure", "fixed gain", True)
 

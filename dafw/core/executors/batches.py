@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from dafw.core.ensemble import Diagnostic, Diagnostics, Ensemble, Memory, Step
-from dafw.core.errors import ContractError
+from dafw.core.errors import ContractError, DafwError
 from dafw.core.interfaces.model import Model
 from dafw.core.observation import ObservationOperator
 from dafw.core.rng import MemberStreams
@@ -52,7 +52,19 @@ class Stepped:
 
 
 def step_members(model: Model, batch: Batch) -> Stepped:
-    """Step a batch with a model in this process. All steps but the last are checked; raises what the model raises."""
+    """Step a batch with a model in this process. All steps but the last are checked.
+
+    Raises what the model raises; an error about a member counts it in the whole ensemble.
+    """
+    try:
+        return _stepped(model, batch)
+    except DafwError as error:
+        if error.member is not None:
+            error.member += batch.first
+        raise
+
+
+def _stepped(model: Model, batch: Batch) -> Stepped:
     if batch.n_steps == 1 and not batch.operators:
         return Stepped((model.step_with_memory(batch.members, batch.memory, batch.t, batch.rng),))
     steps: list[Step] = []

@@ -42,6 +42,11 @@ class Dask(Executor):
     _config: Mapping[str, Any] = field(default_factory=dict, init=False, repr=False)
     _batches: int = field(default=0, init=False, repr=False)
 
+    @classmethod
+    def check_options(cls) -> Mapping[str, Any]:
+        """Return two workers, however many cores there are."""
+        return {"workers": 2}
+
     def __post_init__(self) -> None:
         if importlib.util.find_spec("distributed") is None:
             raise ConfigurationError(f"{self.label} needs the package distributed: install dafw[dask]")

@@ -53,6 +53,11 @@ class Processes(Executor):
     _pool: list[_Place] = field(default_factory=list, init=False, repr=False)
     _config: Mapping[str, Any] = field(default_factory=dict, init=False, repr=False)
 
+    @classmethod
+    def check_options(cls) -> Mapping[str, Any]:
+        """Return two workers, however many cores there are."""
+        return {"workers": 2}
+
     def start(self, model: Model, config: Mapping[str, Any] | None) -> None:
         """Start the workers; they build their models while the main process goes on."""
         self.close()

@@ -14,7 +14,6 @@ from functools import partial
 from typing import Any
 
 from dafw.core.ensemble import freeze
-from dafw.core.errors import DafwError
 from dafw.core.executors import Executor
 from dafw.core.executors.batches import Batch, Stepped, step_members
 from dafw.core.interfaces.model import Model
@@ -32,13 +31,8 @@ def step_batch(config: Mapping[str, Any], batch: Batch) -> Outcome:
 
 
 def _stepped(config: Mapping[str, Any], batch: Batch) -> Stepped:
-    try:
-        # Read-only, as the main process would hand them over.
-        return step_members(built(config), replace(batch, members=freeze(batch.members)))
-    except DafwError as error:
-        if error.member is not None:
-            error.member += batch.first
-        raise
+    # Read-only, as the main process would hand them over.
+    return step_members(built(config), replace(batch, members=freeze(batch.members)))
 
 
 def built(config: Mapping[str, Any]) -> Model:

@@ -21,7 +21,8 @@ class Filter(Plugin):
 
     ``accuracy`` says how the mean and covariance of an analysis agree with the Kalman filter's where all is linear and
     Gaussian: ``exact`` for the sample at hand, ``statistical`` in the limit of many members, or ``none``: no claim.
-    ``localization_option`` names the option that is the localization radius in metres, where there is one.
+    ``localization_option`` names the option that is the localization radius in metres, where there is one, and
+    ``inflation_option`` the one that is the factor on the anomalies; None for a filter whose ``inflation`` is another.
 
     A filter that looks back says over how many cycles, the present one included, by ``window``; None: since the start.
     It defines ``analyse_window`` instead of ``analyse``. ``past_beliefs`` says whether it needs the beliefs at the
@@ -43,6 +44,7 @@ class Filter(Plugin):
     smallest_ensemble: ClassVar[int] = 2
     accuracy: ClassVar[str] = "statistical"
     localization_option: ClassVar[str | None] = None
+    inflation_option: ClassVar[str | None] = "inflation"
     past_beliefs: ClassVar[Literal["all", "first"]] = "all"
 
     def analyse(

@@ -60,6 +60,11 @@ class Readings(Plugin):
     kind = "readings"
     needs_truth: ClassVar[bool] = False
 
+    @classmethod
+    def check_space(cls) -> StateSpace | None:
+        """Return a small state space that the checks use; None: their own, with ``concentration`` and a wind."""
+        return None
+
     def take(self, request: Request, rng: np.random.Generator) -> Sequence[Observation]:
         """Return the readings that became known in the time of the request, none where there are none."""
         raise NotImplementedError(f"{self.label} must define take(request, rng)")

@@ -10,6 +10,13 @@ The upwind scheme with the Courant number C = |c| dt / dx is first order, and ex
 
 Courant, Isaacson and Rees (1952), doi:10.1002/cpa.3160050303. As a test of filters: Evensen (2004),
 doi:10.1007/s10236-004-0096-8.
+
+The model error q of each member may be correlated in time: with the correlation a from one step to the next and
+standard normal numbers w it is a memory of the model, ::
+
+    q_k = a q_{k-1} + sqrt(1 - a^2) w_k,    q_0 = 0
+
+times error_sd. Evensen (2003), eq. 42, doi:10.1007/s10236-003-0036-9.
 """
 
 from __future__ import annotations
@@ -18,6 +25,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dafw.core.ensemble import Memory, Step
 from dafw.core.errors import OptionError
 from dafw.core.interfaces import Model
 from dafw.core.options import option
@@ -40,6 +48,9 @@ class LinearAdvection(Model):
     dt: float = option(1.0, "length of a step in seconds", above=0.0)
     waves: int = option(10, "wave numbers in the first guess besides the constant", minimum=0)
     error_sd: float = option(0.0, "standard deviation of the model error added to every cell in a step", minimum=0.0)
+    error_correlation: float = option(
+        0.0, "correlation of the model error from one step to the next; above zero the model remembers it", minimum=0.0
+    )
 
     def __post_init__(self) -> None:
         self.courant = abs(self.speed) * self.dt * self.cells / self.length
@@ -47,6 +58,10 @@ class LinearAdvection(Model):
             raise OptionError(
                 f"model 'linear_advection': the Courant number |speed| dt cells / length must be at most 1, "
                 f"got {self.courant:.6g}"
+            )
+        if self.error_correlation >= 1.0:
+            raise OptionError(
+                f"model 'linear_advection': error_correlation must be below 1, got {self.error_correlation:g}"
             )
         self.x: Array = np.linspace(0.0, self.length, self.cells, endpoint=False)
         self.space = StateSpace([Variable("u", self.cells, coordinates=self.x[:, np.newaxis], long_name="amplitude")])
@@ -57,9 +72,24 @@ class LinearAdvection(Model):
         shapes = np.concatenate([np.ones((1, self.cells)), np.cos(phase), np.sin(phase)])
         return rng.standard_normal((n_members, len(shapes))) @ shapes / np.sqrt(1.0 + self.waves)
 
+    def initial_memory(self, members: Array) -> Memory | None:
+        """Return the model error (N, n) before the first step: none. An error without a correlation needs no memory."""
+        return {"error": np.zeros(members.shape)} if self.error_correlation > 0.0 else None
+
+    def step_with_memory(self, members: Array, memory: Memory | None, t: float, rng: MemberStreams) -> Step:
+        """Return the members (N, n) at t + dt, and their model errors."""
+        if memory is None:
+            return Step(self.step(members, t, rng))
+        new = np.sqrt(1.0 - self.error_correlation**2) * rng.standard_normal(members.shape)
+        error = self.error_correlation * np.asarray(memory["error"]) + new
+        return Step(self._moved(members) + self.error_sd * error, {"error": error})
+
     def step(self, members: Array, t: float, rng: MemberStreams) -> Array:
-        """Return the members (N, n) at t + dt."""
+        """Return the members (N, n) at t + dt, with model errors that remember nothing."""
+        moved = self._moved(members)
+        return moved + self.error_sd * rng.standard_normal(members.shape) if self.error_sd else moved
+
+    def _moved(self, members: Array) -> Array:
         upwind = np.roll(members, 1 if self.speed >= 0.0 else -1, axis=1)
         # In this form C = 1 moves the numbers without rounding them.
-        moved = (1.0 - self.courant) * members + self.courant * upwind
-        return moved + self.error_sd * rng.standard_normal(members.shape) if self.error_sd else moved
+        return np.asarray((1.0 - self.courant) * members + self.courant * upwind)
