@@ -39,7 +39,7 @@ class Grid(Observer):
 
     def operator(self, space: StateSpace, route: Route, t: float) -> ObservationOperator:
         """Return the readings due in this step: all, or none. Raises ConfigurationError for an entry there is not."""
-        if not is_due(t, self.every):
+        if not is_due(t, self.every, route.dt):
             return nothing()
         # Made once for a state space and not in every step: checking its covariances takes longer than using it.
         if self._made is None or self._made[0] is not space:

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from dafw.core.errors import ConfigurationError
 
-# A tenth of a millisecond forgives times that are sums of rounded steps.
-FORGIVEN = 1e-4
 
+def is_due(t: float, every: float | None, dt: float) -> bool:
+    """Say whether the step that begins at t is one in which readings are taken every so many seconds; None: in all.
 
-def is_due(t: float, every: float | None) -> bool:
-    """Say whether t (seconds) is a multiple of ``every``; None: always."""
-    return every is None or (t + FORGIVEN) % every < 2 * FORGIVEN
+    ``every`` is a multiple of the time step ``dt`` (see ``require_steps``), and steps are counted: t may be a sum of
+    many rounded steps. Where dt is 0, as in a route that was made by hand, t itself must be a multiple of ``every``.
+    """
+    if every is None:
+        return True
+    step = dt or every * 1e-6
+    return round(t / step) % round(every / step) == 0
 
 
 def require_steps(every: float | None, dt: float, label: str) -> None:
@@ -18,5 +22,5 @@ def require_steps(every: float | None, dt: float, label: str) -> None:
     if every is None:
         return
     steps = every / dt
-    if steps < 1.0 - 1e-9 or abs(steps - round(steps)) > 1e-6 * steps:
+    if steps < 1.0 - 1e-9 or abs(steps - round(steps)) > min(1e-6 * steps, 1e-2):
         raise ConfigurationError(f"{label}: every = {every:g} s is no multiple of the time step, {dt:g} s")

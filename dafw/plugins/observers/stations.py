@@ -50,6 +50,6 @@ class Stations(Observer):
 
     def operator(self, space: StateSpace, route: Route, t: float) -> ObservationOperator:
         """Return the readings due in this step: all stations, or none."""
-        due = is_due(t, self.every)
+        due = is_due(t, self.every, route.dt)
         points = np.array(self.positions, dtype=np.float64).reshape(-1, 2) if due else np.empty((0, 2))
         return read_nodes(space, self.variable, points, self.noise_sd, self.assumed_variance)
