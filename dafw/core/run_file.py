@@ -109,7 +109,8 @@ class RunFile:
     ) -> None:
         """Define a variable over time."""
         sizes = [1 if self._file.dimensions[dim].isunlimited() else len(self._file.dimensions[dim]) for dim in dims]
-        fill = np.nan if dtype[0] == "f" else -1
+        # A whole number of a diagnostic may well be -1: what is missing there is a number that nobody means.
+        fill = {"f": np.nan, "i": -1}[dtype[0]] if dtype != "i8" else np.iinfo(np.int64).min
         # Short rows share a chunk.
         chunks = [max(1, min(1024, CHUNK_NUMBERS // max(1, math.prod(sizes[1:])))), *sizes[1:]]
         if "observation" in dims:
@@ -200,16 +201,19 @@ class RunFile:
         self._define("phase_seconds", ("time", "phase"), "f8", "s", "wall time of the phases of a cycle")
 
     def require(self, name: str, diagnostic: Diagnostic, values: Any) -> None:
-        """Define a diagnostic's variable where it is new; raises ContractError where its shape has changed."""
+        """Define a diagnostic's variable where it is new; raises ContractError where the values do not go into it."""
+        dtype = {"f": "f8", "i": "i8", "u": "i8", "b": "i1"}[values.dtype.kind]
         if name not in self._shapes:
             for dim, length in zip(diagnostic.dims, values.shape, strict=True):
                 if dim not in self._file.dimensions:
                     self._file.createDimension(dim, length)
-            dtype = {"f": "f8", "i": "i8", "u": "i8", "b": "i1"}[values.dtype.kind]
             title = diagnostic.long_name or name.replace("_", " ")
             self._define(name, ("time", *diagnostic.dims), dtype, diagnostic.units, title)
         if values.shape != self._shapes[name]:
             raise ContractError(f"diagnostic '{name}' must have the shape {self._shapes[name]}, got {values.shape}")
+        kept = self._fills[name].dtype
+        if not np.can_cast(dtype, kept) and kept.kind != "f":
+            raise ContractError(f"diagnostic '{name}' was of the type {kept} at first, got {values.dtype}")
         if values.dtype.kind == "u" and values.size and values.max() > np.iinfo(np.int64).max:
             raise ContractError(f"diagnostic '{name}' holds {values.max()}, a file holds whole numbers up to 2^63 - 1")
 

@@ -1,9 +1,10 @@
-"""Moments and quantiles of members with and without weights."""
+"""Values that travel through a cycle: moments and quantiles with and without weights, and what may be written to."""
 
 import numpy as np
 import pytest
 
-from dafw import ANGLE, FIELD, POSITIVE, Ensemble, StateSpace, Variable
+from dafw import ANGLE, FIELD, POSITIVE, ContractError, Ensemble, Route, StateSpace, Variable, Vehicle
+from dafw.core.ensemble import freeze
 
 SPACE = StateSpace([Variable("level", 2, FIELD), Variable("rate", 1, POSITIVE), Variable("direction", 1, ANGLE)])
 
@@ -75,3 +76,30 @@ def test_a_positive_number_moves_in_its_logarithm():
 def test_readings_are_averaged_with_the_same_weights():
     belief = Ensemble(draws(3), SPACE, weights=[0.5, 0.25, 0.25])
     np.testing.assert_allclose(belief.average(np.array([[1.0, 0.0], [2.0, 4.0], [4.0, 4.0]])), [2.0, 2.0])
+
+
+def test_nobody_writes_into_a_belief_and_its_maker_keeps_what_is_his():
+    mine = draws(3)
+    belief = Ensemble(mine, SPACE, weights=np.full(3, 1 / 3))
+    before = belief.members.copy()
+    mine[0, 0] = 7.0
+    np.testing.assert_array_equal(belief.members, before)
+    with pytest.raises(ValueError, match="read-only"):
+        belief.members[0, 0] = 7.0
+
+
+def test_what_is_read_only_already_is_not_copied():
+    belief = Ensemble(draws(3), SPACE)
+    assert Ensemble(belief.members, SPACE).members is belief.members
+    view = draws(6)[::2]
+    view.setflags(write=False)
+    frozen = freeze(view)
+    assert frozen.flags.c_contiguous and not frozen.flags.writeable
+
+
+@pytest.mark.parametrize("shape", [(3,), (2, 3), (1, 2, 2), (2, 2, 2)])
+def test_points_that_are_not_in_the_plane_are_refused(shape):
+    with pytest.raises(ContractError, match=r"the path of vehicle 0 must be points \(k, 2\) in metres, got the shape"):
+        Route((np.zeros(shape),))
+    with pytest.raises(ContractError, match=r"the positions of vehicles must be points \(k, 2\)"):
+        Vehicle(np.zeros(shape))

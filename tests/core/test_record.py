@@ -1,11 +1,12 @@
 """``run.nc``: what it holds, that it opens at any moment, that nothing is overwritten."""
 
+import netCDF4
 import numpy as np
 import pytest
 import xarray
 from toys import AIRSPACE, Growth, toy_parts
 
-from dafw import Domain, RunError, StateSpace, Variable, Vehicle, open_run
+from dafw import ContractError, Domain, RunError, StateSpace, Variable, Vehicle, open_run
 from dafw.core.cycle import advance, start
 from dafw.core.ensemble import Diagnostic, Route
 from dafw.core.record import Record
@@ -118,6 +119,41 @@ def test_diagnostics_of_plugins_are_kept_under_their_kind(tmp_path):
         assert run["policy_score"].dims == ("time", "sector")
         np.testing.assert_array_equal(run["policy_score"][1:, 0], [0.0, 2.0, 4.0])
         assert run["policy_score"][0].isnull().all()
+
+
+def counting(*values):
+    """Return a policy that reports one of the values in each cycle."""
+
+    class Counting(type(toy_parts().policy)):
+        def decide(self, belief, vehicle, rng):
+            route = super().decide(belief, vehicle, rng)
+            return Route(route.paths, diagnostics={"count": Diagnostic(values[int(belief.time / 2.0)])})
+
+    return toy_parts(policy=Counting())
+
+
+@pytest.mark.parametrize(
+    "values",
+    [(2**31, 2**40, -(2**62)), (-1, 0, 1), (np.uint64(2**63 - 1), np.uint8(3), 0), (True, False, True), (0.5, 2, -1)],
+)
+def test_whole_numbers_are_kept_to_the_last(tmp_path, values):
+    record, _ = record_run(tmp_path / "run.nc", counting(*values))
+    record.close()
+    with netCDF4.Dataset(tmp_path / "run.nc") as file:
+        assert file["policy_count"][:].tolist() == [None, *values]
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ((0, np.uint64(2**63), 0), "holds 9223372036854775808, a file holds whole numbers up to"),
+        ((0, 2.5, 0), "'policy_count' was of the type int64 at first, got float64"),
+        ((True, 300, 0), "'policy_count' was of the type int8 at first, got int64"),
+    ],
+)
+def test_a_number_that_would_become_another_is_refused(tmp_path, values, message):
+    with pytest.raises(ContractError, match=message):
+        record_run(tmp_path / "run.nc", counting(*values))
 
 
 def test_readings_of_changing_number_are_padded(tmp_path):
