@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from trouble import Trouble
-from waiting import children, ended, go_on, halted
+from waiting import PATIENCE, children, ended, go_on, halted
 
 import dafw
 from dafw import ComputationError, ConfigurationError, ContractError, DafwError, Ensemble
@@ -244,7 +244,7 @@ def test_no_worker_outlives_its_run(tmp_path, number, whom, executor):
         whom(run.pid, number)
         if number != signal.SIGKILL:
             go_on(tmp_path)
-        _, error = run.communicate()
+        _, error = run.communicate(timeout=PATIENCE)
     assert "Traceback" not in error
     if number != signal.SIGKILL:
         assert run.returncode == 130 and "interrupted" in error

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import errands
 import pytest
-from waiting import ended
+from waiting import PATIENCE, ended
 
 from dafw.core import workers
 from dafw.core.errors import ComputationError, SolverError
@@ -77,15 +77,19 @@ def test_workers_end_with_the_process_that_wants_them(number, tmp_path):
     script = tmp_path / "script.py"  # no `if __name__ == "__main__"`
     script.write_text(
         f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
+        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)  # in the background it is ignored\n"
         "import errands; from dafw.core.workers import run_tasks\n"
         "print('begun', flush=True)\n"
         "for _, process in run_tasks(errands.slow, [(0.0,), (0.0,), (600.0,), (600.0,)], 2, 'errands'):\n"
         "    print(process, flush=True)\n"
     )
     with subprocess.Popen([sys.executable, script], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as run:
-        assert run.stdout.readline() == "begun\n"
-        pids = [int(run.stdout.readline()) for _ in range(2)]
-        run.send_signal(number)
-        output, _ = run.communicate()
+        try:
+            assert run.stdout.readline() == "begun\n"
+            pids = [int(run.stdout.readline()) for _ in range(2)]
+            run.send_signal(number)
+            output, _ = run.communicate(timeout=PATIENCE)
+        finally:
+            run.kill()
     assert "begun" not in output
     assert ended(pids)

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import yaml
 from run_files import contents
-from waiting import HALT, go_on, halted
+from waiting import HALT, PATIENCE, go_on, halted
 
 import dafw
 from dafw.commands import main
@@ -207,7 +207,7 @@ def halting(folder):
 def test_a_killed_run_leaves_a_file_that_opens(folder):
     with halting(folder) as process:
         process.send_signal(signal.SIGKILL)
-        process.wait()
+        process.wait(PATIENCE)
     with dafw.open_run("run") as run:
         assert run.sizes["time"] == HALT + 1
         assert run["err"].notnull().all()
@@ -219,7 +219,7 @@ def test_an_interrupted_run_ends_in_order(folder, number):
     with halting(folder) as process:
         process.send_signal(number)
         go_on(folder)
-        _, error = process.communicate()
+        _, error = process.communicate(timeout=PATIENCE)
     assert process.returncode == 130 and "Traceback" not in error
     assert f"interrupted: {HALT + 1} of 100000 cycles are kept in" in error
     summary = json.loads(Path("run", "summary.json").read_text())
