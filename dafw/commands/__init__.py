@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from importlib import import_module
 
 from dafw.commands.mpirun import run_on_all_ranks, shares
-from dafw.core.errors import DafwError
+from dafw.core.errors import DafwError, is_request
 
 COMMANDS = ("run", "plugins", "plot", "doctor", "check", "new-plugin")
 """The command NAME is the function ``NAME_command(words)`` of the module NAME in this folder, loaded when called; a
@@ -62,15 +62,33 @@ def _ended(command: Callable[[], int]) -> tuple[int, str]:
     """Return a command's exit status, and what is to be said where it failed."""
     try:
         return command(), ""
-    except DafwError as error:
-        return error.exit_status, " ".join(str(error).split())
     except KeyboardInterrupt as stop:
         return 130, f"interrupted: {stop}".removesuffix(": ")
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1, ""
-    except OSError as error:
-        return 2, " ".join(str(error).split())
+    except Exception as error:
+        line = said(error)
+        if line is None:  # a fault of dafw's own: the traceback tells more
+            raise
+        return status_of(error), line
+
+
+def status_of(error: Exception) -> int:
+    """Return the exit status of a failure."""
+    if isinstance(error, DafwError):
+        return error.exit_status
+    return 2 if is_request(error) else 1
+
+
+def said(error: Exception) -> str | None:
+    """Return a failure in one line; None where neither dafw expects it nor a plugin raised it."""
+    if not isinstance(error, DafwError | OSError):
+        from dafw.core.plugin import by_plugin
+
+        failure = by_plugin(error)
+        return said(failure) if failure else None
+    return " ".join(str(error).split())
 
 
 def _refuse(message: str, status: int = 2) -> int:

@@ -20,8 +20,9 @@ from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
+from dafw.commands import said, status_of
 from dafw.core.composition import advised, compose, explained, single_runs, study_hydra, study_part
-from dafw.core.errors import ComputationError, ConfigurationError, DafwError
+from dafw.core.errors import ComputationError, ConfigurationError
 from dafw.core.experiment import study_from
 from dafw.core.study import Study
 from dafw.studies.running import follow_study, refuse_run, run_study
@@ -127,7 +128,15 @@ def _launch(
 
     def job(config: DictConfig) -> None:
         hydra_config = HydraConfig.get()
-        status = _run_job(config, Path(hydra_config.runtime.output_dir), communicator)
+        try:
+            status = _run_job(config, Path(hydra_config.runtime.output_dir), communicator)
+        except Exception as error:
+            line = said(error)
+            if line is None and sweep is None:
+                raise
+            # The other jobs of a sweep go on whatever it was.
+            status = status_of(error)
+            print(f"dafw: {line or ' '.join(f'{type(error).__name__}: {error}'.split())}", file=sys.stderr)
         if sweep is None:
             statuses.append(status)
         else:  # a launcher may run the job in another process, on another machine
@@ -167,9 +176,6 @@ def _run_job(config: DictConfig, folder: Path, communicator: Any) -> int:
     """Run one study into its folder, say how it went, and return the exit status."""
     try:
         summary = run_study(study_from(study_part(config)), folder, communicator)
-    except DafwError as error:
-        print(f"dafw: {' '.join(str(error).split())}", file=sys.stderr)
-        return error.exit_status
     except Interrupted as stop:
         raise KeyboardInterrupt(str(stop)) from stop
     print(closing_line(summary))

@@ -29,7 +29,7 @@ from dafw.core.interfaces.readings import Request
 from dafw.core.interpolation import View
 from dafw.core.late import Sorted, sort_by_cycle
 from dafw.core.observation import Observation
-from dafw.core.plugin import Plugin
+from dafw.core.plugin import Plugin, label_of
 from dafw.core.rerun import MODEL_ERROR, Rerun
 from dafw.core.rng import Streams
 from dafw.core.space import Array
@@ -134,7 +134,9 @@ class _Clock:
         if isinstance(error, DafwError):
             raise type(error)(f"{place}: {error}") from error
         if isinstance(error, Exception):
-            raise ComputationError(f"{place}: {self._plugin.label} raised {type(error).__name__}: {error}") from error
+            raise ComputationError(
+                f"{place}: {label_of(self._plugin)} raised {type(error).__name__}: {error}"
+            ) from error
 
 
 def start(parts: Parts, n_members: int, vehicle: Vehicle) -> State:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import ClassVar
@@ -62,6 +63,15 @@ class RecordError(ComputationError):
 
 class SolverError(ComputationError):
     """A solver did not reach its tolerance; its result must not be used."""
+
+
+DISK_FAILURES = (errno.ENOSPC, errno.EDQUOT, errno.EIO)
+"""A disk that is full or broken: a computation fails although the request was a legal one."""
+
+
+def is_request(error: BaseException) -> bool:
+    """Say whether an error of the operating system is about what was asked for, such as a file that is not there."""
+    return isinstance(error, OSError) and error.errno not in DISK_FAILURES
 
 
 @contextmanager

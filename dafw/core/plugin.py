@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import traceback
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from types import MappingProxyType
 from typing import Any, ClassVar
 
 import numpy as np
 
 from dafw.core.ensemble import Diagnostic, Diagnostics
-from dafw.core.errors import ConfigurationError, ContractError, DivergenceError
+from dafw.core.errors import ComputationError, ConfigurationError, ContractError, DafwError, DivergenceError, is_request
 from dafw.core.space import Array, StateSpace, Variable
 
 SENSELESS = 1e3
@@ -90,3 +92,39 @@ def require_sense(plugin: Plugin, space: StateSpace, members: Array) -> None:
             f"{plugin.label}: the numbers have left all sense: {described(space, members)} is {excess:.3g} times the "
             f"largest value that is plausible"
         )
+
+
+def label_of(plugin: Plugin) -> str:
+    """Return the plugin's label, which its author may have overwritten with something that fails."""
+    try:
+        return str(plugin.label)
+    except Exception:
+        return f"{plugin.kind} '{type(plugin).__name__}'"
+
+
+def by_plugin(error: BaseException) -> ComputationError | None:
+    """Return an error that says which plugin raised ``error``, and in which of its methods; None: no plugin did.
+
+    It is the plugin of the innermost method that was under way.
+    """
+    for frame, _ in reversed(list(traceback.walk_tb(error.__traceback__))):
+        plugin = frame.f_locals.get("self")
+        if isinstance(plugin, Plugin):
+            what = f"raised {type(error).__name__} in '{frame.f_code.co_name}'"
+            return ComputationError(f"{label_of(plugin)} {what}: {error}")
+    return None
+
+
+@contextmanager
+def plugins_named() -> Iterator[None]:
+    """Have errors that plugins raise on their own, and that are no DafwError, become ones that name the plugin."""
+    try:
+        yield
+    except DafwError:
+        raise
+    except Exception as error:
+        failure = by_plugin(error)
+        if failure is None:
+            raise
+        # Something that an option names is not there, say.
+        raise ConfigurationError(str(failure)) if is_request(error) else failure from error

@@ -145,10 +145,12 @@ class Record:
         return error_of(self._space, truth, belief.mean)
 
     def close(self) -> None:
-        """Write the rest and close the file."""
+        """Write the rest and close the file, which is closed even where the rest cannot be written."""
         if self._file.is_open:
-            self.flush()
-            self._file.close()
+            try:
+                self.flush()
+            finally:
+                self._file.close()
 
 
 def _observation_row(cycle: Cycle, expected: Array, space: StateSpace) -> dict[str, Any]:

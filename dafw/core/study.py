@@ -21,6 +21,7 @@ from dafw.core.interfaces import Filter, Model, Observer, Policy, Readings
 from dafw.core.interpolation import view
 from dafw.core.late import LATE_CHOICES
 from dafw.core.memory import require_memory
+from dafw.core.plugin import plugins_named
 from dafw.core.registry import registry
 from dafw.core.rng import Streams
 from dafw.core.sharing import Shared
@@ -70,6 +71,7 @@ class Study:
     name: str = "study"
     configuration: Mapping[str, Any] | None = None
 
+    @plugins_named()
     def __post_init__(self) -> None:
         wanted = {"model": Model, "filter": Filter, "readings": Readings, "observer": Observer, "policy": Policy}
         for role, kind in {**wanted, "executor": Executor, "truth": Model, "free": Model}.items():
@@ -91,6 +93,9 @@ class Study:
         if window is not None and window < 0:
             raise ConfigurationError(f"{self.filter.label}: its window must not be negative, got {window}")
         self.filter.require_members(self.members)
+        for label, places in (("start", self.start), ("section", self.section)):
+            if any(np.shape(place) != (2,) for place in places):
+                raise ConfigurationError(f"a study's {label} must be [[x, y], ...] in metres, got {places}")
         if self.readings.needs_truth and self.truth is None:
             raise ConfigurationError(
                 f"{self.readings.label} reads a truth, and the study has none: give it a truth, or readings of another "
@@ -114,6 +119,7 @@ class Study:
         """From what other processes can make the model; None for a model of a class that is not registered."""
         return registry().recipe(self.model) if self.configuration is None else self.configuration["model"]
 
+    @plugins_named()
     def prepare(self, communicator: Any = None) -> tuple[Parts, Vehicle]:
         """Build the parts of a cycle and place the vehicles; raises a DafwError that names the plugin.
 

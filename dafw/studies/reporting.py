@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from dafw.core.cycle import Cycle, Parts, State
-from dafw.core.errors import ComputationError
 
 log = logging.getLogger("dafw")
 
@@ -59,11 +58,7 @@ def warn_once(warned: set[str], what: str, text: str) -> None:
 
 def log_domain(parts: Parts) -> None:
     """Log what the model was made of."""
-    try:
-        notes = list(parts.model.notes())
-    except Exception as error:
-        raise ComputationError(f"{parts.model.label} raised {type(error).__name__} in notes(): {error}") from error
-    for note in notes:
+    for note in parts.model.notes():
         log.info("%s", note)
     log.info("state: %r", parts.model.space)
     if parts.model.domain is not None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import sys
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -17,6 +17,7 @@ from dafw.core.cycle import Cycle, Parts, advance, start
 from dafw.core.ensemble import Vehicle
 from dafw.core.errors import ComputationError, ConfigurationError, DafwError, RecordError, RunError
 from dafw.core.files import claim, write_atomically
+from dafw.core.plugin import by_plugin
 from dafw.core.record import Record
 from dafw.core.study import Study
 from dafw.studies.reporting import log_domain, log_file, postfix, progress, sentence, warn_once
@@ -45,17 +46,18 @@ def run_study(study: Study, folder: Path, communicator: Any = None) -> dict[str,
         try:
             with parts.executor:
                 run.cycles(parts, vehicle, stop)
-            run.finish("complete")
+            run.end("complete")
         except KeyboardInterrupt:
-            run.finish("interrupted")
+            run.end("interrupted")
             raise Interrupted(f"{run.summary.cycles} of {study.cycles} cycles are kept in {folder}") from None
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             # What no phase of a cycle has named is still said in one line, and the record is closed.
-            named = error if isinstance(error, DafwError) else ComputationError(f"{type(error).__name__}: {error}")
-            run.finish("failed", str(named))
+            failure = _named(error)
+            with suppress(RecordError):  # the first error is the one to be told
+                run.end("failed", str(failure))
             done = run.summary.cycles
             kept = f"; {done} of {study.cycles} cycles are kept in {folder}" if done else ""
-            raise type(named)(f"{named}{kept}") from error
+            raise type(failure)(f"{failure}{kept}") from error
         if study.pictures and not stop.asked:
             _draw(folder)
         if stop.asked:
@@ -128,7 +130,8 @@ class _Run:
                 bar.set_postfix_str(postfix(state, scores), refresh=False)
                 bar.update()
                 if perf_counter() - self.noted > SUMMARY_SECONDS:
-                    self._write_summary()
+                    with self._writing():
+                        self._write_summary()
                 if stop.agreed(self.communicator) and done < study.cycles:
                     raise Interrupted
         summary.end(parts, state)
@@ -141,16 +144,20 @@ class _Run:
         for what, text in self.summary.warnings(cycle, parts):
             warn_once(self.summary.warned, what, f"t = {time:g} s: {text}")
 
-    def finish(self, status: str, error: str = "") -> None:
-        """Close the record and say how the run ended."""
+    def end(self, status: str, error: str = "") -> None:
+        """Close the record and say how the run ended; raises RecordError where that cannot be written."""
         try:
-            if self.record is not None:
-                self.record.close()
-        except (OSError, RuntimeError) as failure:
-            status, error = "failed", error or f"run.nc cannot be closed: {failure}"
-        self.summary.status, self.summary.error = status, error
-        self._write_summary()
-        log.info("%s after %d of %d cycles %s", status, self.summary.cycles, self.study.cycles, error)
+            with self._writing():
+                if self.record is not None:
+                    self.record.close()
+        except RecordError as failure:
+            status, error = "failed", error or str(failure)
+            raise
+        finally:
+            self.summary.status, self.summary.error = status, error
+            with self._writing():
+                self._write_summary()
+            log.info("%s after %d of %d cycles %s", status, self.summary.cycles, self.study.cycles, error)
 
     def _write_summary(self) -> None:
         self.noted = perf_counter()
@@ -162,7 +169,16 @@ class _Run:
         try:
             yield
         except (OSError, RuntimeError) as error:
+            if by_plugin(error) is not None:
+                raise
             raise RecordError(f"{self.folder}: the run cannot be written ({type(error).__name__}: {error})") from error
+
+
+def _named(error: BaseException) -> DafwError:
+    """Return an error as one of dafw's, that names the plugin where one raised it."""
+    if isinstance(error, DafwError):
+        return error
+    return by_plugin(error) or ComputationError(f"{type(error).__name__}: {error}")
 
 
 def _with_members(study: Study, parts: Parts) -> list[str]:
