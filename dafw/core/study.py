@@ -192,6 +192,8 @@ class Study:
         window = self.cycles if self.filter.window is None else self.filter.window
         beliefs = window if self.filter.past_beliefs == "all" or self.filter.window is not None else 1
         wanted = {f"{self.members} members of {self.model.space.size} numbers, with what is made of them": 8.0 * state}
+        if copies := self.executor.copies():
+            wanted[f"the members in the workers of {self.executor.label}"] = copies * state
         if window:
             wanted[f"{beliefs} past beliefs that {self.filter.label} looks back to"] = beliefs * state
         require_memory(wanted)

@@ -50,6 +50,13 @@ class Executor(Plugin):
         stepped = self.begin(model, batches)
         return lambda: join(model, batches, stepped())
 
+    def copies(self) -> int:
+        """Return how often the members are held on this machine besides in the process that runs the study.
+
+        A worker process holds its batch as it came, as it was stepped and as it goes back.
+        """
+        return 0
+
     def close(self) -> None:
         """End whatever ``start`` began."""
 

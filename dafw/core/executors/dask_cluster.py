@@ -91,6 +91,10 @@ class Dask(Executor):
         """Return the number of workers."""
         return max(1, self._batches)
 
+    def copies(self) -> int:
+        """Return how often the members are held in workers of this machine."""
+        return 0 if self.address else 3
+
     def begin(self, model: Model, batches: Sequence[Batch]) -> Callable[[], Sequence[Stepped]]:
         """Hand the batches to the scheduler; what comes back waits for all of them."""
         if self._client is None:

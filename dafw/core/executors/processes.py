@@ -75,6 +75,10 @@ class Processes(Executor):
         """Return the number of workers."""
         return max(1, len(self._pool))
 
+    def copies(self) -> int:
+        """Return how often the members are held in workers of this machine."""
+        return 3
+
     def begin(self, model: Model, batches: Sequence[Batch]) -> Callable[[], Sequence[Stepped]]:
         """Hand a batch to each worker; what comes back waits for all of them."""
         if not self._pool:
