@@ -68,7 +68,7 @@ def run_command(words: Sequence[str], communicator: Any = None) -> int:
         if config.hydra.mode not in (None, RunMode.MULTIRUN if asked.multirun else RunMode.RUN):
             raise ConfigurationError("hydra.mode follows the command: dafw run -m for a multirun, dafw run for one run")
         if not asked.multirun:
-            refuse_run(Path(config.hydra.run.dir))
+            refuse_run(Path(config.hydra.run.dir), communicator)
         try:
             composed = study_part(config)
             study = study_from(composed)

@@ -77,9 +77,17 @@ def follow_study(study: Study, communicator: Any) -> None:
                 raise Interrupted
 
 
-def refuse_run(folder: Path) -> None:
-    """Raise RunError where a folder holds a run already."""
-    if (folder / "run.nc").exists() or (folder / "summary.json").exists():
+def refuse_run(folder: Path, communicator: Any = None) -> None:
+    """Raise RunError where a folder holds a run already.
+
+    Of the ranks of an MPI communicator, which all call, rank 0 looks and tells the others: by the time another rank
+    looked, rank 0 might have made the folder.
+    """
+    holds = communicator is None or communicator.rank == 0
+    holds = holds and ((folder / "run.nc").exists() or (folder / "summary.json").exists())
+    if communicator is not None:
+        holds = communicator.bcast(holds, root=0)
+    if holds:
         raise RunError(f"{folder}: holds a run already; nothing was changed")
 
 

@@ -5,11 +5,12 @@ import json
 import os
 import signal
 from pathlib import Path
+from typing import ClassVar
 
 import pytest
 
 import dafw
-from dafw import ComputationError, Model, StateSpace, Study, Variable
+from dafw import ComputationError, Model, RunError, StateSpace, Study, Variable
 from dafw.commands import main
 from dafw.core.executors.serial import Serial
 from dafw.core.files import write_atomically
@@ -19,7 +20,7 @@ from dafw.plugins.models.lorenz96 import Lorenz96
 from dafw.plugins.observers.grid import Grid
 from dafw.plugins.policies.stationary import Stationary
 from dafw.plugins.readings.twin import Twin
-from dafw.studies.running import run_study
+from dafw.studies.running import refuse_run, run_study
 
 RUN = ["run", "experiment=lorenz96", "cycles=3", "pictures=false", "hydra.run.dir=run"]
 
@@ -214,3 +215,27 @@ def test_an_interrupted_run_is_a_keyboard_interrupt(monkeypatch):
     assert (summary()["status"], summary()["cycles"]) == ("interrupted", 3)
     with dafw.open_run("run") as run:
         assert run.sizes["time"] == 4
+
+
+class Rank:
+    """One of two ranks: what rank 0 tells the others is kept for them."""
+
+    told: ClassVar[list[bool]] = []
+
+    def __init__(self, rank):
+        self.rank = rank
+
+    def bcast(self, value, root):
+        if self.rank == root:
+            Rank.told.append(value)
+        return Rank.told[-1]
+
+
+def test_of_several_ranks_the_first_looks_whether_the_folder_is_free():
+    refuse_run(Path("run"), Rank(0))
+    Path("run").mkdir()
+    Path("run", "summary.json").touch()  # rank 0 was quick
+    refuse_run(Path("run"), Rank(1))
+    for rank in (0, 1):
+        with pytest.raises(RunError, match="holds a run already"):
+            refuse_run(Path("run" if rank == 0 else "another place"), Rank(rank))
