@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from dafw.authoring.function import model_from_function
     from dafw.authoring.program import ProgramModel
+    from dafw.core.cycle import Cycle, Parts, State, advance
     from dafw.core.domain import Domain
     from dafw.core.ensemble import Analysis, Diagnostic, Ensemble, Forecast, Route, Step, Vehicle
     from dafw.core.errors import (
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
     from dafw.studies.running import run
 
 _HOMES = {
+    "dafw.core.cycle": ("Cycle", "Parts", "State", "advance"),
     "dafw.core.domain": ("Domain",),
     "dafw.core.ensemble": ("Analysis", "Diagnostic", "Ensemble", "Forecast", "Route", "Step", "Vehicle"),
     "dafw.core.executors": ("Executor",),
@@ -90,6 +92,7 @@ __all__ = [
     "ComputationError",
     "ConfigurationError",
     "ContractError",
+    "Cycle",
     "DafwError",
     "Diagnostic",
     "DivergenceError",
@@ -105,6 +108,7 @@ __all__ = [
     "Observer",
     "OptionError",
     "Outlook",
+    "Parts",
     "PastCycle",
     "PluginError",
     "PluginSpec",
@@ -117,6 +121,7 @@ __all__ = [
     "RunError",
     "Selection",
     "SolverError",
+    "State",
     "StateSpace",
     "Step",
     "Stepped",
@@ -125,6 +130,7 @@ __all__ = [
     "Variable",
     "Vehicle",
     "Window",
+    "advance",
     "colour",
     "hookimpl",
     "model_from_function",

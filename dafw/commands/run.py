@@ -25,6 +25,7 @@ from dafw.core.composition import advised, compose, explained, single_runs, stud
 from dafw.core.errors import ComputationError, ConfigurationError
 from dafw.core.experiment import study_from
 from dafw.core.study import Study
+from dafw.studies.reporting import closing_line
 from dafw.studies.running import follow_study, refuse_run, run_study
 from dafw.studies.stopping import Interrupted
 
@@ -175,22 +176,10 @@ def _override(key: str, value: Path) -> str:
 def _run_job(config: DictConfig, folder: Path, communicator: Any) -> int:
     """Run one study into its folder, say how it went, and return the exit status."""
     try:
-        summary = run_study(study_from(study_part(config)), folder, communicator)
+        study = study_from(study_part(config))
+        summary = run_study(study, folder, communicator)
     except Interrupted as stop:
         raise KeyboardInterrupt(str(stop)) from stop
-    print(closing_line(summary))
+    print(closing_line(study, summary))
     print(folder, flush=True)
     return 0
-
-
-def closing_line(summary: dict[str, Any]) -> str:
-    """Return how the belief did against the free run, in one sentence."""
-
-    def percent(value: float | None) -> str:
-        return "not defined" if value is None else f"{value:.1f} %"
-
-    return (
-        f"{summary['name']}, seed {summary['seed']}: after {summary['cycles']} cycles the belief's ERR is "
-        f"{percent(summary['err_final'])}, the free run's {percent(summary['err_free_final'])} "
-        f"({summary['wall_seconds']:.0f} s)"
-    )

@@ -106,6 +106,11 @@ class Cycle:
     seconds: dict[str, float]
 
     @property
+    def belief(self) -> Ensemble:
+        """The belief after the cycle."""
+        return self.state.belief.ensemble
+
+    @property
     def observation(self) -> Observation:
         """The readings that were used at the end of this cycle."""
         return self.readings.now

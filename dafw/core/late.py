@@ -6,8 +6,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from dafw.core.interfaces.readings import Request
 from dafw.core.observation import Observation, merged_observations
+from dafw.core.space import Array
 
 LATE_CHOICES = ("drop", "use")
 
@@ -16,12 +19,14 @@ LATE_CHOICES = ("drop", "use")
 class Sorted:
     """Readings by what becomes of them.
 
-    ``now`` are those that are used at the end of this cycle, ``late`` those of earlier cycles by the cycle's number,
-    and ``dropped`` those that nobody can use any more. ``counts`` says how many readings there were of each kind:
-    ``on_time``, ``late_in_window``, ``late_used_now``, ``late_dropped``, ``before_start``.
+    ``now`` are those that are used at the end of this cycle, whose own times (m,) in seconds are ``times``; ``late``
+    those of earlier cycles by the cycle's number, and ``dropped`` those that nobody can use any more. ``counts`` says
+    how many readings there were of each kind: ``on_time``, ``late_in_window``, ``late_used_now``, ``late_dropped``,
+    ``before_start``.
     """
 
     now: Observation
+    times: Array
     late: tuple[tuple[int, Observation], ...] = ()
     dropped: tuple[Observation, ...] = ()
     counts: dict[str, int] = field(default_factory=dict)
@@ -59,4 +64,5 @@ def sort_by_cycle(
         else:
             dropped.append(observation)
             counts["late_dropped"] += size
-    return Sorted(merged_observations(now, request.end), tuple(late), tuple(dropped), counts)
+    times = np.concatenate([np.full(one.values.size, one.time) for one in now]) if now else np.empty(0)
+    return Sorted(merged_observations(now, request.end), times, tuple(late), tuple(dropped), counts)

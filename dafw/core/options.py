@@ -264,3 +264,26 @@ def describe(cls: type, prefix: str = "") -> list[Described]:
 def type_name(hint: Any) -> str:
     """Return a type as a reader would write it: ``float | None``, ``list[float]``."""
     return hint.__name__ if isinstance(hint, type) and not typing.get_args(hint) else str(hint).replace("typing.", "")
+
+
+def require_options(made: Any, where: str) -> None:
+    """Hold the options of an object that was made in Python to their types and ranges; raises OptionError.
+
+    Numbers and arrays of numpy count as Python's. Fields that were not declared by ``option`` are left alone, and so is
+    an object that is no dataclass.
+    """
+    if not is_dataclass(made) or not any("help" in f.metadata for f in fields(made)):
+        return
+    for f, hint in _option_fields(type(made)):
+        value = getattr(made, f.name)
+        if "help" not in f.metadata:
+            continue
+        if _is_group(hint):
+            if not isinstance(value, hint):
+                raise OptionError(
+                    f"{where}: option '{f.name}' must be of type {hint.__name__}, got {value!r}; from plain mappings "
+                    f"{type(made).__name__}.from_options(...) makes it"
+                )
+            require_options(value, f"{where}, {f.name}")
+        else:
+            _checked(value.tolist() if hasattr(value, "tolist") else value, hint, f, where)

@@ -6,12 +6,13 @@ import traceback
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
 from dafw.core.ensemble import Diagnostic, Diagnostics
 from dafw.core.errors import ComputationError, ConfigurationError, ContractError, DafwError, DivergenceError, is_request
+from dafw.core.options import build
 from dafw.core.space import Array, StateSpace, Variable
 
 SENSELESS = 1e3
@@ -33,6 +34,14 @@ class Plugin:
     def check_options(cls) -> Mapping[str, Any]:
         """Return the options under which ``dafw check`` makes the plugin: something small and quick."""
         return {}
+
+    @classmethod
+    def from_options(cls, **options: Any) -> Self:
+        """Make the plugin from plain values, nested mappings for groups of options, as a configuration does.
+
+        Raises OptionError where an option is unknown, of the wrong type or out of range.
+        """
+        return build(cls, options, f"{cls.kind} '{cls.__name__}'")
 
     @property
     def label(self) -> str:

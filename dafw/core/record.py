@@ -159,7 +159,8 @@ def _observation_row(cycle: Cycle, expected: Array, space: StateSpace) -> dict[s
     ``expected`` (m,) is what the forecast expected of those of now.
     """
     readings = cycle.readings
-    row = _readings(readings.now, 0, expected, space)
+    # Readings of now are used together at the end of the cycle; each was taken at a time of its own.
+    row = _readings(readings.now, 0, expected, space) | {"observation_time": readings.times}
     others = [(one, 1) for _, one in readings.late] + [(one, 2) for one in readings.dropped]
     if not others:
         return row

@@ -1,7 +1,8 @@
 """A study composed of objects: the face of dafw in plain Python, and what a configuration is turned into.
 
-``Study(...)`` computes nothing. ``prepare`` builds what the parts need (a mesh, say), checks that they fit together and
-returns the parts of a cycle; iterating over a study gives its cycles, one at a time, for those who own their loop.
+``Study(...)`` computes nothing. Iterating over a study gives its cycles, one at a time, for those who own their loop;
+``begin`` gives the parts of a cycle and the first state, for those who own the state as well. ``prepare`` builds what
+the parts need (a mesh, say) and checks that they fit together.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from dafw.core.cycle import Cycle, Parts, advance, start
+from dafw.core.cycle import Cycle, Parts, State, advance, start
 from dafw.core.ensemble import Route, Vehicle
 from dafw.core.errors import ConfigurationError
 from dafw.core.executors import Executor
@@ -21,6 +22,7 @@ from dafw.core.interfaces import Filter, Model, Observer, Policy, Readings
 from dafw.core.interpolation import view
 from dafw.core.late import LATE_CHOICES
 from dafw.core.memory import require_memory
+from dafw.core.options import require_options
 from dafw.core.plugin import plugins_named
 from dafw.core.registry import registry
 from dafw.core.rng import Streams
@@ -39,16 +41,21 @@ class Study:
     """All parts of a study and how long it goes on.
 
     model, filter            what evolves, and what learns
-    readings                 where the numbers come from: of the truth where nothing else is said
+    readings                 where the numbers come from; ``Twin()``, which reads the truth, where nothing else is said
     truth                    the model that a twin's readings come from; None: there is no truth, and nothing is scored
     free                     the model of the free run, the first guess left alone; None: no free run
-    observer, policy         what would be read, and where the vehicles go
+    observer, policy         what would be read of a truth, and where the vehicles go: nothing, and nowhere
+    executor                 what steps the members: this process
     start, speed             where the vehicles are at first, [[x, y], ...] in metres, and how fast they fly in m/s
     members, cycles, seed    the size N of the ensemble, the number of time steps, the seed of all random numbers
     late_readings            what becomes of a late reading that the filter cannot look back to: ``drop`` or ``use`` now
     record                   the variables of which run.nc keeps every member: none, parameters, all
-    configuration            what the study was composed from by names and numbers; None: it was made in Python
     section                  corners [[x, y], ...] of the polyline of the section picture, in metres
+    pictures                 whether a run of the study ends with its pictures
+    name                     what the study is called in files, titles and messages
+    configuration            what the study was composed from by names and numbers; None: it was made in Python
+
+    Raises ConfigurationError where a part is of the wrong kind or the parts cannot go together.
     """
 
     model: Model
@@ -76,8 +83,16 @@ class Study:
         wanted = {"model": Model, "filter": Filter, "readings": Readings, "observer": Observer, "policy": Policy}
         for role, kind in {**wanted, "executor": Executor, "truth": Model, "free": Model}.items():
             part = getattr(self, role)
-            if not isinstance(part, kind) and not (part is None and role in ("truth", "free")):
-                raise ConfigurationError(f"a study's {role} must be a {kind.kind}, got {type(part).__name__}")
+            if part is None and role in ("truth", "free"):
+                continue
+            if isinstance(part, type) and issubclass(part, kind):
+                raise ConfigurationError(
+                    f"a study's {role} must be made already: expected {part.__name__}(...), got the class"
+                )
+            if not isinstance(part, kind):
+                wanted_kind = f"an {kind.kind}" if kind.kind[0] in "aeo" else f"a {kind.kind}"
+                raise ConfigurationError(f"a study's {role} must be {wanted_kind}, got {type(part).__name__}")
+            require_options(part, part.label)
         for label, value, choices in (
             ("late_readings", self.late_readings, LATE_CHOICES),
             ("record", self.record, RECORDED),
@@ -99,7 +114,7 @@ class Study:
         if self.readings.needs_truth and self.truth is None:
             raise ConfigurationError(
                 f"{self.readings.label} reads a truth, and the study has none: give it a truth, or readings of another "
-                f"source"
+                f"source (readings=...)"
             )
 
     @property
@@ -198,12 +213,24 @@ class Study:
             wanted[f"{beliefs} past beliefs that {self.filter.label} looks back to"] = beliefs * state
         require_memory(wanted)
 
+    def begin(self) -> tuple[Parts, State]:
+        """Build the parts, start the executor and draw the first belief.
+
+        For those who own the state: ``advance(parts, state)`` is one cycle, and the ``state`` of what it returns what
+        the next one goes on from. ``parts.executor`` is to be closed at the end, where it is more than this process.
+        """
+        parts, vehicle = self.prepare()
+        parts.executor.start(parts.model, self.model_configuration)
+        try:
+            return parts, start(parts, self.members, vehicle)
+        except BaseException:
+            parts.executor.close()
+            raise
+
     def __iter__(self) -> Iterator[Cycle]:
         """Run the study and give its cycles one at a time; nothing is written."""
-        parts, vehicle = self.prepare()
+        parts, state = self.begin()
         with parts.executor:
-            parts.executor.start(parts.model, self.model_configuration)
-            state = start(parts, self.members, vehicle)
             for _ in range(self.cycles):
                 cycle = advance(parts, state)
                 yield cycle

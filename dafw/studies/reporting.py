@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -10,6 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from dafw.core.cycle import Cycle, Parts, State
+from dafw.core.space import Kind
+from dafw.core.study import Study
 
 log = logging.getLogger("dafw")
 
@@ -35,7 +38,9 @@ def sentence(cycle: Cycle, scores: Mapping[str, float]) -> str:
     positions = ", ".join(f"({x:.1f}, {y:.1f})" for x, y in cycle.state.vehicle.positions)
     parts = [f"ERR {scores['err']:.2f} %"] if "err" in scores else []
     parts += [f"free run {scores['err_free']:.2f} %"] if "err_free" in scores else []
-    parts.append(f"{cycle.observation.values.size} readings")
+    if "err" not in scores and math.isfinite(scores["innovation_rms"]):
+        parts.append(f"innovations {scores['innovation_rms']:.2f}")
+    parts.append(said_of_readings(cycle.readings.counts))
     parts += [f"at {positions}"] if positions else []
     return f"t = {cycle.state.belief.ensemble.time:g} s: {', '.join(parts)}"
 
@@ -43,8 +48,51 @@ def sentence(cycle: Cycle, scores: Mapping[str, float]) -> str:
 def postfix(state: State, scores: Mapping[str, float]) -> str:
     """Return how a run stands, for the end of its progress bar."""
     positions = " ".join(f"({x:.0f}, {y:.0f})" for x, y in state.vehicle.positions[:2])
-    err = f"ERR {scores['err']:.1f} %" if "err" in scores else ""
-    return f"{err} {positions}".strip()
+    stands = f"ERR {scores['err']:.1f} %" if "err" in scores else ""
+    if not stands and math.isfinite(scores["innovation_rms"]):
+        stands = f"innovations {scores['innovation_rms']:.1f}"
+    return f"{stands} {positions}".strip()
+
+
+def said_of_readings(counts: Mapping[str, int]) -> str:
+    """Return how many readings there were and what became of them: ``5 readings (3 on time, 1 late, 1 dropped)``.
+
+    ``counts`` are by use, as in ``dafw.core.late.Sorted``; where all were on time, their number says it.
+    """
+    total = sum(counts.values())
+    late = counts.get("late_in_window", 0) + counts.get("late_used_now", 0)
+    dropped = counts.get("late_dropped", 0) + counts.get("before_start", 0)
+    text = f"{total or 'no'} reading{'' if total == 1 else 's'}"
+    if not late and not dropped:
+        return text
+    uses = {"on time": counts.get("on_time", 0), "late": late, "dropped": dropped}
+    return f"{text} ({', '.join(f'{number} {use}' for use, number in uses.items() if number)})"
+
+
+def closing_line(study: Study, summary: Mapping[str, Any]) -> str:
+    """Return how the belief did, in one sentence.
+
+    With a truth: its ERR beside that of the free run, and of an empty map where the scored variable cannot be
+    negative. Without one: what the readings say of it.
+    """
+    scored = study.model.space.variables[0]
+    if study.truth is not None:
+        parts = [f"the belief's ERR is {_percent(summary['err_final'])}"]
+        parts += [f"the free run's {_percent(summary['err_free_final'])}"] if study.free is not None else []
+        # A map of zeros differs from the truth by the truth itself.
+        parts += ["an empty map's 100 %"] if scored.kind is Kind.NONNEGATIVE else []
+    elif summary["innovation_rms"] is None:
+        parts = ["there is no truth to compare the belief with"]
+    else:
+        parts = [f"the innovations' root mean square is {summary['innovation_rms']:.2f} (of an honest belief: 1)"]
+    return (
+        f"{summary['name']}, seed {summary['seed']}: after {summary['cycles']} cycles and "
+        f"{said_of_readings(summary['readings'])} {', '.join(parts)} ({summary['wall_seconds']:.0f} s)"
+    )
+
+
+def _percent(value: float | None) -> str:
+    return "not defined" if value is None else f"{value:.1f} %"
 
 
 def warn_once(warned: set[str], what: str, text: str) -> None:

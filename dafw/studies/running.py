@@ -6,6 +6,7 @@ import logging
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
+from datetime import datetime
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -20,7 +21,7 @@ from dafw.core.files import claim, write_atomically
 from dafw.core.plugin import by_plugin
 from dafw.core.record import Record
 from dafw.core.study import Study
-from dafw.studies.reporting import log_domain, log_file, postfix, progress, sentence, warn_once
+from dafw.studies.reporting import closing_line, log_domain, log_file, postfix, progress, sentence, warn_once
 from dafw.studies.stopping import Interrupted, Stop, stop_signals
 from dafw.studies.summary import Summary, file_attributes
 
@@ -47,6 +48,7 @@ def run_study(study: Study, folder: Path, communicator: Any = None) -> dict[str,
             with parts.executor:
                 run.cycles(parts, vehicle, stop)
             run.end("complete")
+            log.info("%s", closing_line(study, run.summary.values()))
         except KeyboardInterrupt:
             run.end("interrupted")
             raise Interrupted(f"{run.summary.cycles} of {study.cycles} cycles are kept in {folder}") from None
@@ -213,16 +215,15 @@ def _draw(folder: Path) -> None:
 def run(what: Study | list[str] | None = None, folder: str | Path | None = None) -> Any:
     """Run a study and open what it leaves as an xarray.Dataset, whose attribute ``folder`` says where it is.
 
-    ``dafw.run(["filter=none", "cycles=20"])`` composes a study from overrides, as the command does; it goes to a new
-    folder of ``outputs`` where none is given. ``dafw.run(study, "folder")`` runs one that was made of objects. Raises
-    ConfigurationError for a wrong request and other DafwErrors where a computation fails.
+    ``dafw.run(study)`` runs a study that was made of objects; ``dafw.run(["filter=none", "cycles=20"])`` composes one
+    from overrides, as the command does. It goes to ``folder``, or to a new folder of ``outputs``. Raises
+    ConfigurationError for a wrong request, RunError where the folder holds a run already, and other DafwErrors where a
+    computation fails.
     """
     from dafw.core.runs import open_run
 
     if isinstance(what, Study):
-        if folder is None:
-            raise ConfigurationError("dafw.run(study, folder): a study made of objects needs a folder")
-        place = Path(folder).resolve()
+        place = Path(folder or f"outputs/{what.name}/{datetime.now():%Y-%m-%d_%H-%M-%S-%f}").resolve()
         run_study(what, place)
     else:
         place = _run_overrides(what or [], folder)
@@ -236,8 +237,8 @@ def _run_overrides(overrides: list[str], folder: str | Path | None) -> Path:
     from dafw.core.composition import advised, compose, study_part
     from dafw.core.experiment import study_from
 
-    if isinstance(overrides, str) or not all(isinstance(override, str) for override in overrides):
-        raise ConfigurationError(f"overrides must be a list of strings, got {overrides!r}")
+    if not isinstance(overrides, list | tuple) or not all(isinstance(override, str) for override in overrides):
+        raise ConfigurationError(f"dafw.run expects a Study, or a list of overrides as strings; got {overrides!r}")
     config = compose(overrides)
     composed = study_part(config)
     place = Path(folder or config.hydra.run.dir).resolve()

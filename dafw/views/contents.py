@@ -111,6 +111,11 @@ def is_angle(run: Dataset, variable: str) -> bool:
     return run[f"{variable}_mean"].attrs.get("units") in ("rad", "radian", "radians")
 
 
+def is_positive(run: Dataset, variable: str) -> bool:
+    """Say whether a state variable moves in its logarithm: its mean is geometric, its spread that of the logarithm."""
+    return str(run[f"{variable}_mean"].attrs.get("comment", "")).startswith("positive")
+
+
 def time_units(run: Dataset) -> str:
     """Return the unit of time, seconds where the file does not say."""
     return str(run["time"].attrs.get("units", "s"))

@@ -14,6 +14,7 @@ from dafw.core.errors import RunError
 from dafw.views.contents import (
     buildings,
     has_map,
+    is_positive,
     label,
     landmark,
     polyline,
@@ -141,7 +142,8 @@ def plot_contours(run: Dataset) -> Figure:
         map_axes(axes, mesh.x, mesh.y)
         if scales[title] is not scale:
             beside = axes.inset_axes((1.03, 0.0, 0.04, 1.0))
-            figure.colorbar(field, cax=beside, label=f"standard deviation of {label(run, name)}")
+            what = f"the logarithm of {label(run, name, '')}" if is_positive(run, name) else label(run, name)
+            figure.colorbar(field, cax=beside, label=f"standard deviation of {what}")
     for axes in grid[-1]:
         axes.set_xlabel("x (m)")
     for axes in grid[:, 0]:

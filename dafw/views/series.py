@@ -15,6 +15,7 @@ from dafw.views.contents import (
     has_free_run,
     has_truth,
     is_angle,
+    is_positive,
     label,
     require,
     scalar_variables,
@@ -118,10 +119,11 @@ def _draw_scalar(axes: Axes, run: Dataset, name: str) -> list[Artist]:
     if members.size:
         lines = axes.plot(time, members, color=BELIEF_COLOUR, linewidth=0.6, alpha=0.35, label="members", gid="member")
         handles.append(lines[0])
+    low, high = mean - spread, mean + spread
+    if is_positive(run, name):
+        low, high = mean * np.exp(-spread), mean * np.exp(spread)
     handles.append(
-        axes.fill_between(
-            time, mean - spread, mean + spread, color=BELIEF_COLOUR, alpha=0.2, linewidth=0, label="± spread"
-        )
+        axes.fill_between(time, low, high, color=BELIEF_COLOUR, alpha=0.2, linewidth=0, label="± spread", gid="band")
     )
     handles += axes.plot(time, mean, color=BELIEF_COLOUR, linewidth=1.9, label="belief", gid="mean")
     styles: dict[str, dict[str, Any]] = {

@@ -46,3 +46,8 @@ def test_numbers_are_standard_normal_and_members_independent():
 def test_members_are_counted_from_zero():
     with pytest.raises(IndexError):
         Streams(0).members("x", 0)[-1]
+
+
+def test_one_number_a_member_may_be_asked_for_by_their_number():
+    rng = Streams(0).members("model error", 2)
+    np.testing.assert_array_equal(rng.standard_normal(4), rng.standard_normal((4,)))

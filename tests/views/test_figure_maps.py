@@ -101,6 +101,17 @@ def test_a_section_without_a_truth_is_scaled_by_the_belief(untold_run, plant_run
     assert panel.get_clim() == (0.0, pytest.approx(np.nanpercentile(along, 99.9)))
 
 
+def test_the_spread_of_a_positive_variable_is_named_for_what_it_is(untold_run):
+    def bar(run):
+        (spread,) = [child for axes in plot_contours(run).axes for child in axes.child_axes]
+        return spread.get_ylabel()
+
+    positive = untold_run.copy()
+    positive["concentration_mean"] = positive["concentration_mean"].assign_attrs(comment="positive: and so on")
+    assert bar(untold_run) == "standard deviation of concentration (kg m$^{-3}$)"
+    assert bar(positive) == "standard deviation of the logarithm of concentration"
+
+
 def test_a_belief_that_is_sure_has_a_spread_that_can_be_drawn():
     assert (spread_scale(np.zeros(3)).norm.vmin, spread_scale(np.zeros(3)).norm.vmax) == (0.0, 1.0)
 

@@ -152,6 +152,16 @@ def test_the_band_is_one_standard_deviation(plant_run):
     assert band[:, 1].min() == pytest.approx((mean - spread).min())
 
 
+def test_the_band_of_a_positive_variable_is_of_its_logarithm(plant_run):
+    run = plant_run.copy()
+    run["wind_speed_mean"] = run["wind_speed_mean"].assign_attrs(comment="positive: spreads are of the logarithm")
+    (band,) = [patch for patch in plot_parameters(run).axes[0].collections if patch.get_gid() == "band"]
+    mean, spread = run["wind_speed_mean"].values, run["wind_speed_spread"].values
+    heights = band.get_paths()[0].vertices[:, 1]
+    assert heights.max() == pytest.approx((mean * np.exp(spread)).max())
+    assert heights.min() == pytest.approx((mean * np.exp(-spread)).min())
+
+
 def test_angles_do_not_jump_where_they_wrap(plant_run):
     time = plant_run["time"].values
     turning = np.radians(350.0 + 0.5 * time)

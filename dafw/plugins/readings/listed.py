@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -28,13 +29,13 @@ KEYS = ("time", "value", "x", "y", "entry", "sd", "arrives")
 class Listed(Readings):
     """Readings by a list of mappings.
 
-    Each has ``time`` (s), ``value``, and ``x`` and ``y`` (m) or ``entry`` (counted from 0); it may have ``sd``, the
-    standard deviation of its error, and ``arrives``, the time (s) at which it becomes known, which is its own time
-    where nothing else is said.
+    Each has ``time`` (s), ``value``, and ``x`` and ``y`` (m) or ``entry`` (counted from 0; a variable of one number
+    needs neither); it may have ``sd``, the standard deviation of its error, and ``arrives``, the time (s) at which it
+    becomes known, which is its own time where nothing else is said.
     """
 
     readings: list[dict[str, Any]] = option(
-        [], "mappings with time, value, x and y or entry, and perhaps sd and arrives"
+        [], "mappings with time, value, x and y (m) or entry, and perhaps sd and arrives (s)"
     )
     variable: str | None = option(None, "state variable that was read; null: the first")
     sd: float = option(1e-3, "standard deviation of the error of readings that give none", above=0.0)
@@ -54,15 +55,20 @@ class Listed(Readings):
             where = f"readings 'listed': reading {number}"
             if unknown := [key for key in reading if key not in KEYS]:
                 raise ConfigurationError(f"{where} has an unknown '{unknown[0]}' (there are: {', '.join(KEYS)})")
-            if ("entry" in reading) == ("x" in reading and "y" in reading):
+            if ("x" in reading) != ("y" in reading) or ("entry" in reading and "x" in reading):
                 raise ConfigurationError(f"{where} must have x and y, or entry, got {', '.join(reading)}")
             for key in ("time", "value"):
                 if key not in reading:
                     raise ConfigurationError(f"{where} must have a {key}, got {', '.join(reading)}")
             for key, value in reading.items():
-                number_like = isinstance(value, int | float) and not isinstance(value, bool)
-                if not number_like or not np.isfinite(value) or (key == "sd" and value <= 0.0):
+                # numpy's numbers, too: in Python such lists come from arrays.
+                number_like = isinstance(value, Real) and not isinstance(value, bool)
+                if not number_like or not np.isfinite(float(value)):
                     raise ConfigurationError(f"{where}: {key} must be a finite number, got {value!r}")
+            if reading.get("sd", self.sd) <= 0.0:
+                raise ConfigurationError(f"{where}: sd must be above 0, got {reading['sd']:g}")
+            if reading.get("entry", 0) != int(reading.get("entry", 0)):
+                raise ConfigurationError(f"{where}: entry must be a whole number, got {reading['entry']:g}")
             if reading.get("arrives", reading["time"]) < reading["time"]:
                 raise ConfigurationError(
                     f"{where} arrives at {reading['arrives']:g} s, before its time, {reading['time']:g} s"
@@ -72,6 +78,11 @@ class Listed(Readings):
         """Raise ConfigurationError where a reading is about no place and no entry of the variable."""
         variable = space.variables[0] if self.variable is None else space[self.variable]
         for number, reading in enumerate(self.readings):
+            if "entry" not in reading and "x" not in reading and variable.size > 1:
+                raise ConfigurationError(
+                    f"{self.label}: reading {number} must have x and y, or entry: the variable '{variable.name}' has "
+                    f"{variable.size} numbers"
+                )
             if "entry" in reading and not 0 <= reading["entry"] < variable.size:
                 raise ConfigurationError(
                     f"{self.label}: reading {number} is about entry {reading['entry']}, "
@@ -91,8 +102,8 @@ class Listed(Readings):
         indices, weights = np.zeros((len(readings), 3), dtype=np.int64), np.zeros((len(readings), 3))
         triangles = domain.triangles if domain is not None and variable is space.variables[0] else None
         for row, reading in enumerate(readings):
-            if "entry" in reading:
-                indices[row], weights[row, 0] = int(reading["entry"]), 1.0
+            if "x" not in reading:
+                indices[row], weights[row, 0] = int(reading.get("entry", 0)), 1.0
         placed = [row for row, reading in enumerate(readings) if "x" in reading]
         if placed:
             places = np.array([[readings[row]["x"], readings[row]["y"]] for row in placed], dtype=np.float64)
