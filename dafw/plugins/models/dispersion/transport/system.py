@@ -19,7 +19,8 @@ BOUNDS = (2.5, 12.0)
 A wind exceeds a bound if in more than 5 % of the rows of its matrix the off-diagonal absolute sum exceeds bound times
 the diagonal.
 
-Up to the first bound BiCGStab is preconditioned by ILU(0), which is made faster than ILU(1) and works as well there.
+Up to the first bound BiCGStab is preconditioned by ILU(0), which is made faster than ILU(1) and works as well there; a
+whole run is 3 % faster by it (docs/fast-winds.md has this and the other figures of whole runs in these modules).
 Up to the second bound it is preconditioned by ILU(1) and mostly takes ten iterations or fewer. Not far above the second
 bound it fails, and a sparse LU is faster.
 """
@@ -92,7 +93,8 @@ class TransportSystem:
         """Return a Krylov solver with an incomplete factorisation of the given fill level."""
         sparsity, options = self._matrices.sparsity, self._matrices.options
         solver: Any = PETSc.KSP().create(sparsity.comm)
-        # Flexible BiCGStab saves the last application of the preconditioner and monitors the true residual.
+        # Flexible BiCGStab saves the last application of the preconditioner and monitors the true residual. With plain
+        # BiCGStab a whole run takes 9 % longer.
         solver.setType("fbcgs")
         solver.getPC().setType("ilu" if sparsity.comm.size == 1 else "bjacobi")
         solver.getPC().setFactorLevels(fill)
