@@ -28,8 +28,10 @@ class Environment:
     def run(
         self, *words: str | Path, cwd: Path, path: Path | None = None, **more: str
     ) -> subprocess.CompletedProcess[str]:
-        """Run a command of the environment; ``path``: a folder with further installed packages."""
+        """Run a command of the environment; ``path``: a folder with further installed packages; ``more``: variables."""
         surroundings = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "PYTEST_"))}
+        # The library of MPI lies beside the packages, where only their own environment looks for it.
+        surroundings |= {"LD_LIBRARY_PATH": f"{sysconfig.get_path('data')}/lib"}
         surroundings |= {"PATH": f"{self.bin}{os.pathsep}{os.environ['PATH']}", "OMP_NUM_THREADS": "1", **more}
         # pip as it is meant to be used, but for the network: dependencies and build tools are there already.
         offline = {"NO_INDEX": "1", "NO_DEPS": "1", "NO_BUILD_ISOLATION": "0", "DISABLE_PIP_VERSION_CHECK": "1"}

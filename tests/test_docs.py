@@ -1,0 +1,217 @@
+"""README, CONTRIBUTING and docs, tried literally: every block is run in the order of its page, in an empty folder.
+
+A block says by its language what it is:
+
+    sh                    commands; they are run as printed, or as REDUCED says
+    python                a program; it is run
+    ANY title="FILE"      a file; it is written
+    toml, yaml, json      a part of a file; it is parsed
+    text                  what the commands above print, or a drawing; held against them where all ran as printed
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+import yaml
+from fresh import ROOT, environment
+
+from dafw.testing import CHECKS
+
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+
+MESH = "model.mesh.wall_size=60 model.mesh.far_size=90 model.mesh.across=1"
+COARSE = f"cycles=1 members=3 pictures=false {MESH}"
+BASIS = "model.wind.basis.directions=4 model.wind.basis.levels=1 model.wind.basis.modes=6 model.wind.basis.tolerance=1"
+FLAGSHIP = r"^dafw run(?!.*--cfg)(?!.*experiment=(?!enie2d))(?!.*~experiment).*$"
+BENCHMARKS = f"PYTHONPATH={ROOT} python -m benchmarks"
+REDUCED = {
+    r"^sh setup\.sh (?=dafw )": ("", "the clone is set up already; tests/test_setup_script.py does it anew"),
+    r"^sh setup\.sh( test| COMMAND\.\.\.)?$": (f"sh {ROOT}/setup.sh --help", "the same, and no tests within tests"),
+    r"^python3 dafw/": (f"python {ROOT}/dafw/", "the clone is elsewhere"),
+    r"^mpirun -n \d+ (/usr/bin/time -v )?": (
+        "",
+        "tests/plugins/models/dispersion/test_mpi.py starts several processes",
+    ),
+    r"^taskset -c \d+ ": ("", "a machine may have one core, or no taskset"),
+    r"^dafw run -m (?=.*launcher=slurm)": ("dafw run --cfg all ", "no SLURM here: composed and shown"),
+    r"(?<=--cfg all)(.*)'seed=range.*'$": (r"\1", "what is only shown has no sweep"),
+    r"^dafw run (?=.*executor\.address=)": ("dafw run --cfg job ", "no scheduler there: composed and shown"),
+    r"'seed=range\((\d+,)?\d{2,}\)'": ("seed=0,1", "two seeds instead of ten and more"),
+    r"^dafw run.* model\.wind\.solver=reduced.*$": (rf"\g<0> {BASIS}", "a basis of four winds"),
+    FLAGSHIP: (rf"\g<0> {COARSE}", "some 300 nodes, three members, one cycle"),
+    r"python -m benchmarks (?!.*over_dapper)": (f"{BENCHMARKS} --short ", "the values mean nothing, the command works"),
+    r"python -m benchmarks(?=\.curves)": (f"{BENCHMARKS}", "the benchmarks are in the clone"),
+    r"--seeds 0 1 2 3 4": (f"--seeds 0 --cycles 1 {MESH} {BASIS}", "one seed, one cycle, the mesh and the basis above"),
+    r"python -m benchmarks(?=\.growth)": (f"{BENCHMARKS}", "the benchmarks are in the clone"),
+    r"--nodes 2\.5k .* --cycles 3": ("--nodes 2.5k --members 2 3 --cycles 1", "one mesh, small ensembles"),
+    r"(?<=benchmarks\.growth).*$": (rf"\g<0> {MESH} {BASIS}", "the mesh and the basis above"),
+}
+"""Commands that would take long, or need what a test has not: what is run instead, and why."""
+
+OMITTED = {
+    r"^uv pip compile ": "asks a package registry, and would write the lock file",
+    r"l96\.etkf_over_dapper": "downloads DAPPER into an environment of its own",
+}
+"""Commands that are not run at all, and why."""
+
+PROGRAMS = {
+    "sys.argv[1:]": ('("60", "90", "0")', "its arguments: a coarse mesh, no draws"),
+    "(0.0, 0.03, 5.0, 10.0, 17.0, 21.0, 25.0)": ("(0.0, 5.0)", "winds that are soon solved"),
+    '"cycles=20"]': (f'*"{COARSE}".split()]', "the flagship, as above"),
+}
+"""What is run instead of parts of programs, and why."""
+
+BLOCK = re.compile(r'^```(\w*)(?: title="([^"\n]+)")?\n(.*?)^```$', re.MULTILINE | re.DOTALL)
+INDENTED = re.compile(r"^ {4,}(?:[A-Z_]+=\S+ )*(?:dafw|python3?|mpirun|taskset|uv|pip|pytest|sh) .*$", re.MULTILINE)
+INLINE = re.compile(r"`(dafw run(?: [^`]*)?)`")
+
+
+@dataclass(frozen=True)
+class Block:
+    """A fenced block of a page."""
+
+    line: int
+    language: str
+    title: str
+    content: str
+
+
+def blocks(page: Path) -> list[Block]:
+    """Return the blocks of a page."""
+    text = page.read_text(encoding="utf-8")
+    return [
+        Block(text.count("\n", 0, found.start()) + 1, *map(str, found.groups(""))) for found in BLOCK.finditer(text)
+    ]
+
+
+def commands(block: Block) -> list[str]:
+    """Return the commands of a block, without comments, each on one line."""
+    joined = re.sub(r"\\\n\s*", "", block.content)
+    return [re.sub(r"(^|\s+)#\s.*$", "", line) for line in joined.splitlines() if line.strip()]
+
+
+def reduced(command: str) -> str | None:
+    """Return what is run for a command; None where nothing is."""
+    if any(re.search(pattern, command) for pattern in OMITTED):
+        return None
+    for pattern, (instead, _) in REDUCED.items():
+        command = re.sub(pattern, instead, command)
+    return command
+
+
+def reduced_program(program: str) -> str:
+    """Return what is run for a program."""
+    for part, (instead, _) in PROGRAMS.items():
+        program = program.replace(part, instead)
+    return program
+
+
+@pytest.fixture(scope="module")
+def variables(tmp_path_factory):
+    """Return the variables under which all pages run: with one cache, so that a mesh is made once; without a screen."""
+    return {"DAFW_CACHE": str(tmp_path_factory.mktemp("cache")), "MPLBACKEND": "Agg"}
+
+
+def try_page(page: Path, folder: Path, variables: dict[str, str]) -> int:
+    """Run the blocks of a page in an empty folder; return how many commands and programs there were."""
+    printed, count, literal = "", 0, True
+    for number, block in enumerate(blocks(page)):
+        place = f"{page.relative_to(ROOT)}, line {block.line}"
+        words: list[str] = []
+        if block.title:
+            (folder / block.title).parent.mkdir(parents=True, exist_ok=True)
+            (folder / block.title).write_text(block.content)
+        elif block.language == "sh":
+            asked = commands(block)
+            run = [instead for command in asked if (instead := reduced(command)) is not None]
+            literal = literal and run == asked
+            count += len(asked)
+            words = ["sh", "-e", "-c", "\n".join(run)]
+        elif block.language == "python":
+            count += 1
+            (folder / f"block_{number}.py").write_text(reduced_program(block.content))
+            words = ["python", f"block_{number}.py"]
+        elif block.language == "toml":
+            tomllib.loads(block.content)
+        elif block.language in ("yaml", "json"):
+            yaml.safe_load(block.content)
+        elif block.language != "text":
+            raise AssertionError(f"{place}: nobody knows how to try a block of '{block.language}'")
+        elif literal and printed:
+            shown = [" ".join(line.split()) for line in printed.splitlines()]
+            assert [line for line in block.content.splitlines() if line not in shown] == [], place
+        if words:
+            done = environment().run(*words, cwd=folder, **variables)
+            assert done.returncode == 0, f"{place}\n{words[-1]}\n{done.stdout}\n{done.stderr}"
+            printed += done.stdout
+    return count
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_a_page_does_what_it_says(page, tmp_path, variables):
+    try_page(page, tmp_path, variables)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_commands_stand_in_blocks(page):
+    fenced = BLOCK.sub("", page.read_text(encoding="utf-8"))
+    assert "```" not in fenced and INDENTED.findall(fenced) == []
+
+
+def test_every_exception_is_needed():
+    asked = [
+        command for page in PAGES for block in blocks(page) if block.language == "sh" for command in commands(block)
+    ]
+    programs = [block.content for page in PAGES for block in blocks(page) if block.language == "python"]
+    assert all(any(part in program for program in programs) for part in PROGRAMS)
+    for pattern in OMITTED:
+        assert any(re.search(pattern, command) for command in asked), pattern
+    left = [command for command in asked if reduced(command) is not None]
+    for pattern, (instead, _) in REDUCED.items():
+        assert any(re.search(pattern, command) for command in left), pattern
+        left = [re.sub(pattern, instead, command) for command in left]
+
+
+CHECK = """
+import json
+from itertools import islice
+from dafw.core.composition import compose, single_runs, study_part
+from dafw.core.experiment import study_from
+
+for words in json.load(open("given.json")):
+    for job in islice(single_runs(words), 3):
+        study_from(study_part(compose(job)))
+"""
+
+
+def test_commands_in_sentences_are_right(tmp_path):
+    found = [shlex.split(command)[2:] for page in PAGES for command in INLINE.findall(page.read_text(encoding="utf-8"))]
+    whole = [
+        words for words in found if words and not any(re.search(r"\.\.\.|[A-Z]{3,}|^-(?!m$)", word) for word in words)
+    ]
+    assert len(whole) > 3
+    given = [[word for word in words if word != "-m"] for words in whole]
+    (tmp_path / "check.py").write_text(CHECK)
+    (tmp_path / "given.json").write_text(json.dumps(given))
+    done = environment().run("python", "check.py", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+
+
+def test_links_between_the_pages_lead_somewhere():
+    for page in PAGES:
+        for target in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8")):
+            assert target.startswith("https://") or (page.parent / target).exists(), f"{page}: {target}"
+
+
+def test_the_page_on_conformance_has_every_check_with_its_reason():
+    page = (ROOT / "docs" / "conformance.md").read_text()
+    sections = re.findall(r"^### (\w+): (\w+)\n\n(.+)$", page, re.MULTILINE)
+    expected = [(kind, name, check.reason) for kind, checks in CHECKS.items() for name, check in checks.items()]
+    assert sections == expected
