@@ -10,7 +10,10 @@ from fresh import ROOT, environment
 
 from dafw import open_run
 
-ACME = ("acme_rod", "acme_cooling", "acme_solver", "acme_probe", "acme_patrol", "acme_nudging")
+ACME = (
+    *("acme_rod", "acme_cooling", "acme_solver", "acme_probe", "acme_patrol", "acme_lookout"),
+    *("acme_esmda", "acme_lag", "acme_nudging"),
+)
 
 
 def one_line(text: str) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 
 from dafw.authoring.checks import ConformanceError, require
 from dafw.core.ensemble import Memory
-from dafw.core.space import Array
+from dafw.core.space import Array, Kind, StateSpace
 
 FALSE_ALARM = 1e-6
 """Probability with which ``require_mean`` refuses a right plugin, were the seeds not fixed."""
@@ -86,6 +86,19 @@ def require_close(found: Array, expected: Array, tolerance: float, message: str)
     require(found.shape == expected.shape, f"{message}: shapes {found.shape} and {expected.shape}")
     off = float(np.abs(found - expected).max(initial=0.0))
     require(off <= limit, f"{message}: off by {off:.3g}, allowed {limit:.3g}")
+
+
+def require_in_set(space: StateSpace, members: Array, what: str) -> None:
+    """Raise ConformanceError where a member (N, n) lies where the state may not be; ``what`` holds it."""
+    for variable in space.variables:
+        values = members[:, space.slice(variable.name)]
+        if variable.kind is Kind.NONNEGATIVE:
+            require(values.min() >= 0.0, f"'{variable.name}' is nonnegative, {what} holds {values.min():.3g}")
+        if variable.kind is Kind.POSITIVE:
+            require(values.min() > 0.0, f"'{variable.name}' is positive, {what} holds {values.min():.3g}")
+        if variable.kind is Kind.ANGLE:
+            outside = values[(values < 0.0) | (values >= 2.0 * np.pi)]
+            require(outside.size == 0, f"the angle '{variable.name}' lies in [0, 2 pi), {what} holds {outside[:1]}")
 
 
 def require_mean(samples: Array, expected: Array, message: str) -> None:

@@ -11,11 +11,10 @@ from typing import Any
 import numpy as np
 
 from dafw.authoring.checks import Factory, NotApplicable, check
-from dafw.authoring.evidence import require_close
-from dafw.authoring.filter_checks import require_in_set
+from dafw.authoring.evidence import require_close, require_in_set
 from dafw.authoring.filter_kalman import require_accuracy
 from dafw.authoring.filter_trials import ROUNDING, accepted, has_option, moments, plain, with_option
-from dafw.authoring.problems import Problem, gas_problem, linear_problem
+from dafw.authoring.problems import Problem, bounded_problems, linear_problem
 from dafw.authoring.small_study import SmallStudy, growth, require_same_cycles, study_of, watched
 from dafw.core.cycle import Cycle
 from dafw.core.executors import Executor
@@ -55,20 +54,15 @@ def _study(n_cycles: int, *, late: Sequence[tuple[int, int]] = (), silent: Seque
     return replace(study, arrivals=tuple(arrivals))
 
 
-def _remembering(study: SmallStudy, *, error_sd: float = 0.0) -> SmallStudy:
-    """Return the study with a model that has a memory, and perhaps an error."""
-    return replace(study, model=replace(study.model, remembers=True, error_sd=error_sd))
-
-
 @check("filter")
 def revised_in_set(factory: Factory) -> None:
-    """Revised beliefs lie in the filter's window and where the state may be: not below zero, angles in [0, 2 pi)."""
+    """Revised beliefs lie in the filter's window and where the state may be, as analyses do."""
     for made in _windows(factory):
-        for seed, direction in enumerate((0.05, 3.0, 6.25)):
-            problem = accepted(made, gas_problem(direction, seed))
-            for cycle in study_of(problem, still=True).run(made, seed=seed):
+        for seed, problem in enumerate(bounded_problems()):
+            for cycle in study_of(accepted(made, problem), still=True).run(made, seed=seed):
                 for done, belief in cycle.analysis.revised.items():
-                    require_in_set(belief.ensemble, f"the belief revised after {done} cycles")
+                    what = f"the belief revised after {done} cycles"
+                    require_in_set(problem.forecast.space, belief.ensemble.members, what)
 
 
 @check("filter")
@@ -88,7 +82,7 @@ def past_unchanged(factory: Factory) -> None:
             named[f"the late readings of cycle {number}"] = observation.values
         return named
 
-    study = _remembering(_study(4, late=[(1, 2)]))
+    study = _study(4, late=[(1, 2)]).remembering()
     for made in _windows(factory):
         study.run(partial(_watched, made, handed))
 
@@ -118,7 +112,7 @@ def late_readings(factory: Factory) -> None:
 def any_executor(factory: Factory) -> None:
     """The bits do not depend on who steps the members of a re-run: operators travel, and batches come back in order."""
     for made in _windows(factory):
-        study = _remembering(_study(4), error_sd=0.1)
+        study = _study(4).remembering(error_sd=0.1)
         message = "it depends on who steps the members"
         require_same_cycles(study.run(made), study.run(made, executor=Elsewhere()), message)
 

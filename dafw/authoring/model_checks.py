@@ -5,11 +5,18 @@ from __future__ import annotations
 import numpy as np
 
 from dafw.authoring.checks import Factory, check, require
-from dafw.authoring.evidence import frozen, global_generators, no_global_draws, require_same_bits, restored
+from dafw.authoring.evidence import (
+    frozen,
+    global_generators,
+    no_global_draws,
+    require_in_set,
+    require_same_bits,
+    restored,
+)
 from dafw.core.ensemble import Ensemble, Forecast, Memory
 from dafw.core.interfaces import Model
 from dafw.core.rng import MemberStreams, Streams
-from dafw.core.space import Array, Kind, StateSpace
+from dafw.core.space import StateSpace
 
 MEMBERS, STEPS = 3, 2
 
@@ -115,26 +122,15 @@ def restart(factory: Factory) -> None:
 
 @check("model")
 def first_guess_in_set(factory: Factory) -> None:
-    """First guesses lie where the state may be: what cannot be negative is not, and angles lie in [0, 2 pi)."""
+    """First guesses lie where the state may be: what cannot be negative is not, what is positive is above zero, and angles lie in [0, 2 pi)."""  # noqa: E501
     model = factory()
-    _require_in_set(model, model.first_guess(20, _streams("initial")).ensemble.members)
+    members = model.first_guess(20, _streams("initial")).ensemble.members
+    require_in_set(model.space, members, "a first guess")
 
 
 @check("model")
 def steps_in_set(factory: Factory) -> None:
-    """Steps keep the state where it may be: what cannot be negative is not, and angles lie in [0, 2 pi)."""
+    """Steps keep the state where it may be: what cannot be negative is not, what is positive is above zero, and angles lie in [0, 2 pi)."""  # noqa: E501
     model = factory()
     for state in stepped(model)[1:]:
-        _require_in_set(model, state.ensemble.members)
-
-
-def _require_in_set(model: Model, members: Array) -> None:
-    for variable in model.space.variables:
-        values = members[:, model.space.slice(variable.name)]
-        if variable.kind is Kind.NONNEGATIVE:
-            require(values.min() >= 0.0, f"'{variable.name}' is nonnegative, but {values.min():.3g} occurs")
-        if variable.kind is Kind.POSITIVE:
-            require(values.min() > 0.0, f"'{variable.name}' is positive, but {values.min():.3g} occurs")
-        if variable.kind is Kind.ANGLE:
-            outside = values[(values < 0.0) | (values >= 2.0 * np.pi)]
-            require(outside.size == 0, f"the angle '{variable.name}' lies in [0, 2 pi), but {outside[:1]} occurs")
+        require_in_set(model.space, state.ensemble.members, "a step")

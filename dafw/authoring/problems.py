@@ -10,7 +10,7 @@ import numpy as np
 from dafw.core.domain import Domain
 from dafw.core.ensemble import Ensemble, Route, Vehicle
 from dafw.core.observation import Observation, ObservationOperator
-from dafw.core.space import ANGLE, NONNEGATIVE, Array, StateSpace, Variable
+from dafw.core.space import ANGLE, NONNEGATIVE, POSITIVE, Array, StateSpace, Variable
 
 NORTH, EAST = 200.0, 300.0
 """Sides in metres of the rectangle that the kit's own space and airspace fill."""
@@ -139,6 +139,20 @@ def gas_problem(direction: float, seed: int = 0, n_members: int = 20) -> Problem
     places = np.vstack([np.asarray(space["concentration"].coordinates)[[0, 5, 7]], [[0.0, 0.0]]])
     operator = Linear(matrix=matrix, covariance=np.full(4, 0.01), coordinates=places)
     return Problem(Ensemble(members, space, 1.0), operator, np.full(4, -0.3))
+
+
+def positive_problem(seed: int = 0, n_members: int = 20) -> Problem:
+    """Return a problem of three positive numbers, of which two are read, far below the forecast's."""
+    places, rng = np.array([[0.0, 0.0], [100.0, 0.0], [200.0, 0.0]]), np.random.default_rng([seed, 2])
+    space = StateSpace([Variable("rate", 3, POSITIVE, "s-1", places)])
+    operator = Linear(matrix=np.eye(3)[:2], covariance=np.full(2, 0.01), coordinates=places[:2])
+    members = np.exp(0.5 * rng.standard_normal((n_members, 3)))
+    return Problem(Ensemble(members, space, 1.0), operator, np.full(2, -0.3))
+
+
+def bounded_problems() -> list[Problem]:
+    """Return problems whose readings pull the members out of the state's set."""
+    return [*(gas_problem(direction, seed) for seed, direction in enumerate((0.05, 3.0, 6.25))), positive_problem()]
 
 
 @cache

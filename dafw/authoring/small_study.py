@@ -86,6 +86,10 @@ class SmallStudy:
     model: Mover
     arrivals: tuple[tuple[Observation, ...], ...]
 
+    def remembering(self, *, error_sd: float = 0.0) -> SmallStudy:
+        """Return the study with a model that has a memory, and perhaps an error."""
+        return replace(self, model=replace(self.model, remembers=True, error_sd=error_sd))
+
     def run(
         self, factory: Factory, *, seed: int = 0, executor: Executor | None = None, cut: bool = False
     ) -> list[Cycle]:

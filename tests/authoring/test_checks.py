@@ -11,6 +11,7 @@ from broken.models import Walk
 from broken.observers import Ends
 from broken.policies import Ahead, East
 from broken.readings import Sensor
+from broken.smoothers import RevisesTheStart
 from broken.weights import Weighing
 
 from dafw.authoring.evidence import require_mean
@@ -62,6 +63,12 @@ def test_a_fault_that_only_later_analyses_have_is_caught(plugin):
     failed = {outcome.check.name for outcome in run_checks("filter", plugin) if outcome.status == "failed"}
     assert failed >= {"member_order", "prior_kept", "kalman_exact"}
     assert ("restart" in failed) == (plugin is LaterOnSelf)
+
+
+def test_a_belief_that_is_revised_outside_of_the_window_is_caught():
+    outcomes = {outcome.check.name: outcome for outcome in run_checks("filter", RevisesTheStart)}
+    assert outcomes["revised_in_set"].status == "failed"
+    assert "lies outside its window, which goes back to cycle 1" in outcomes["revised_in_set"].detail
 
 
 def test_inflation_and_localization_are_switched_off_where_the_kalman_filter_is_the_measure():

@@ -19,7 +19,7 @@ from dafw import ComputationError, ConfigurationError, ContractError, DafwError,
 from dafw.commands import main
 from dafw.core.ensemble import Diagnostic, Step
 from dafw.core.errors import RequestError, SolverError
-from dafw.core.executors.batches import Batch, Stepped, join, split
+from dafw.core.executors.batches import Batch, Stepped, join, split, step_members
 from dafw.core.making import alive
 from dafw.core.registry import registry
 from dafw.core.rng import Streams
@@ -87,6 +87,15 @@ def test_a_dask_worker_that_is_killed_is_replaced_and_nothing_is_lost(tmp_path):
     assert (tmp_path / "once").exists()
 
 
+def test_two_dask_clusters_of_this_machine_do_not_meet():
+    model = Trouble()
+    one, other = (registry().create("executor", {"name": "dask", "workers": 1}) for _ in range(2))
+    with one, other:
+        one.start(model, {"name": "trouble"})
+        other.start(model, {"name": "trouble"})  # a port that is taken would be a warning, which is an error here
+        assert one._client.scheduler.address != other._client.scheduler.address
+
+
 def test_workers_that_are_lost_again_and_again_end_the_run():
     with pytest.raises(ComputationError, match=r"members 3 to 6; 2 were lost in this step, at most 1 are replaced"):
         walk(TWO | {"retries": 1}, kind_of="always_killed")
@@ -96,6 +105,15 @@ def test_workers_that_are_lost_again_and_again_end_the_run():
 def test_errors_come_back_with_their_name_and_the_number_of_the_member(executor):
     with pytest.raises(SolverError, match=r"^member 3: does not walk$"):
         walk(executor, kind_of="refuses")
+
+
+def test_whoever_steps_a_batch_counts_members_in_the_whole_ensemble():
+    model, streams = Trouble(kind_of="refuses"), Streams(4)
+    forecast = model.first_guess(N, streams.members("initial", 0))
+    ensemble = forecast.ensemble
+    batches = split(model, Batch(ensemble.members, forecast.memory, 1.0, streams.members("error", 0)), 3)
+    with pytest.raises(SolverError, match=r"^member 3: does not walk$"):
+        [step_members(model, batch) for batch in batches]
 
 
 def test_what_a_plugin_raises_on_its_own_names_the_plugin():

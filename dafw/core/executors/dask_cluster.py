@@ -68,7 +68,9 @@ class Dask(Executor):
                     n_workers=count,
                     threads_per_worker=1,
                     host="127.0.0.1",
-                    dashboard_address=None,
+                    # No dashboard. But its port is opened all the same: any that is free, for several runs at once.
+                    dashboard_address="127.0.0.1:0",
+                    scheduler_kwargs={"dashboard": False},
                     memory_limit=0,
                     preload=["dafw.core.executors.worker"],
                     silence_logs=logging.CRITICAL,

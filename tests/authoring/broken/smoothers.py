@@ -24,6 +24,14 @@ class BelowZero(EnKS):
         return replace(right, revised=revised)
 
 
+class RevisesTheStart(EnKS):
+    """Hands back a belief at the start of the study, wherever its window begins."""
+
+    def analyse_window(self, window, rng):
+        right = super().analyse_window(window, rng)
+        return replace(right, revised={**right.revised, 0: window.first})
+
+
 @breaks("past_unchanged")
 class WritesIntoTheModelsMemory(EnKS):
     def analyse_window(self, window, rng):

@@ -46,6 +46,32 @@ def test_upwind_keeps_the_sum_and_makes_no_new_extremes():
     assert np.all(after.min(axis=1) >= u.min(axis=1))
 
 
+def test_model_errors_are_as_correlated_as_the_option_says():
+    model = LinearAdvection(cells=4, length=4.0, speed=0.0, error_sd=0.5, error_correlation=0.8)
+    streams, n_members = Streams(0), 4000
+    members, memory, errors = np.zeros((n_members, 4)), model.initial_memory(np.zeros((n_members, 4))), []
+    for cycle in range(12):
+        step = model.step_with_memory(members, memory, float(cycle), streams.members("error", cycle))
+        errors.append((step.members - members).ravel())
+        members, memory = step.members, step.memory
+    # From none at the start its variance grows towards sd^2 as 1 - a^(2 k).
+    np.testing.assert_allclose(np.var(errors[0]), 0.25 * (1.0 - 0.8**2), rtol=0.05)
+    np.testing.assert_allclose(np.var(errors[-1]), 0.25 * (1.0 - 0.8**24), rtol=0.05)
+    assert np.corrcoef(errors[-2], errors[-1])[0, 1] == pytest.approx(0.8, abs=0.02)
+
+
+def test_an_error_without_correlation_is_remembered_by_nobody():
+    model, members = LinearAdvection(cells=4, length=4.0, error_sd=0.5), np.ones((2, 4))
+    assert model.initial_memory(members) is None
+    step = model.step_with_memory(members, None, 0.0, STREAMS)
+    assert step.memory is None and np.array_equal(step.members, model.step(members, 0.0, STREAMS))
+
+
+def test_an_error_that_never_changes_is_refused():
+    with pytest.raises(OptionError, match="error_correlation must be below 1, got 1"):
+        LinearAdvection(error_correlation=1.0)
+
+
 def test_a_courant_number_above_1_is_refused():
     with pytest.raises(OptionError, match=r"Courant number .* at most 1, got 2"):
         LinearAdvection(cells=10, length=10.0, dt=2.0)
