@@ -36,9 +36,10 @@ class EnKF(Filter):
         anomalies = self.inflation * forecast.anomalies
         predicted_mean = predicted.mean(axis=0)
         predicted_anomalies = self.inflation * (predicted - predicted_mean)
-        covariance = observation.covariance
-        Y = whiten(covariance, predicted_anomalies)  # noqa: N806
-        dy = whiten(covariance, observation.values - predicted_mean - predicted_anomalies)
+        innovations = observation.values - predicted_mean - predicted_anomalies
+        # At once: a covariance that is full is factorised a single time.
+        rows = whiten(observation.covariance, np.vstack([predicted_anomalies, innovations]))
+        Y, dy = np.split(rows, 2)  # noqa: N806
         Z = rng.standard_normal(Y.shape)  # noqa: N806
         Z -= Z.mean(axis=0)  # noqa: N806
         gain = np.linalg.solve(Y @ Y.T + (len(Y) - 1) * np.eye(len(Y)), anomalies)

@@ -37,14 +37,19 @@ from dafw.core.space import Array
 from dafw.plugins.filters.rotation import uniform_orthogonal, zero_mean_basis
 
 
+def _whitened(predicted_anomalies: Array, innovation: Array, covariance: Array) -> tuple[Array, Array]:
+    """Return both in units of the readings' errors, by one factorisation of a covariance that is full."""
+    rows = whiten(covariance, np.vstack([predicted_anomalies, innovation]))
+    return rows[:-1], rows[-1]
+
+
 def transform(predicted_anomalies: Array, innovation: Array, covariance: Array) -> tuple[Array, Array]:
     """Return the weights Lambda (N,) of the mean and the transform T (N, N) of the anomalies.
 
     ``predicted_anomalies`` Y (N, m), ``innovation`` dy (m,), ``covariance`` R (m,) or (m, m).
     """
     n_members = len(predicted_anomalies)
-    Y = whiten(covariance, predicted_anomalies)  # noqa: N806
-    dy = whiten(covariance, innovation)
+    Y, dy = _whitened(predicted_anomalies, innovation, covariance)  # noqa: N806
     d, V = np.linalg.eigh(Y @ Y.T)  # noqa: N806
     d = np.maximum(d, 0.0) + (n_members - 1)  # what adding (N - 1) I does; rounding alone makes d negative
     T = (V * np.sqrt((n_members - 1) / d)) @ V.T  # noqa: N806
@@ -58,8 +63,8 @@ def rotated_transform(
     """Return Lambda (N,) as ``transform`` does, and a random rotation U T (N, N) of its T."""
     n_members = len(predicted_anomalies)
     basis = zero_mean_basis(n_members)
-    Y = basis.T @ whiten(covariance, predicted_anomalies)  # noqa: N806
-    dy = whiten(covariance, innovation)
+    Y, dy = _whitened(predicted_anomalies, innovation, covariance)  # noqa: N806
+    Y = basis.T @ Y  # noqa: N806
     L = np.linalg.cholesky(Y @ Y.T + (n_members - 1) * np.eye(n_members - 1))  # noqa: N806
     root = np.linalg.solve(L, basis.T)
     Lambda = (root @ (basis @ (Y @ dy))) @ root  # noqa: N806
