@@ -98,10 +98,14 @@ def test_a_file_that_a_plugin_does_not_find_is_a_wrong_request(monkeypatch, caps
 
 
 def test_a_plugin_whose_label_fails_is_still_named():
-    broken = type("Broken", (Walk,), {"label": property(failing("label")), "step": failing("step")})
+    broken = type("Broken", (Walk,), {"step": failing("step")})
+    study = Study(model=broken(), truth=Walk(), filter=ETKF())
+    broken.label = property(failing("label"))
     with pytest.raises(ComputationError, match="phase 'forecast': model 'Broken' raised ValueError: broken"):
-        dafw.run(Study(model=broken(), truth=Walk(), filter=ETKF()), "run")
+        dafw.run(study, "run")
     assert summary()["status"] == "failed"
+    with pytest.raises(ComputationError, match="^model 'Broken' raised ValueError in 'label': broken$"):
+        Study(model=broken(), truth=Walk(), filter=ETKF())
 
 
 @pytest.mark.parametrize(
