@@ -85,7 +85,8 @@ def model_from_function(
         "draw": staticmethod(initial),
         "parameters": tuple(parameter.name for parameter in named),
         "__doc__": inspect.getdoc(step) or f"The function {name} as a model.",
-        "__module__": step.__module__,
     }
-    made: type[Model] = make_dataclass(name, fields, bases=(_FunctionModel,), namespace=shared)
+    made: type[Model] = make_dataclass(
+        name, fields, bases=(_FunctionModel,), namespace=shared, module=getattr(step, "__module__", __name__)
+    )
     return made

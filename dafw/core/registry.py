@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 import importlib
+import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, fields, is_dataclass
 from functools import cache
@@ -187,9 +188,8 @@ class Registry:
         return {"name": name, **{f.name: _plain(getattr(plugin, f.name)) for f in fields(plugin) if f.init}}
 
     def _registered_name(self, plugin: Plugin) -> str | None:
-        target = _target(plugin)
-        names = (n for (kind, n), one in self._plugins.items() if kind == plugin.kind and one.spec.target == target)
-        return next(names, None)
+        of_its_kind = ((name, one) for (kind, name), one in self._plugins.items() if kind == plugin.kind)
+        return next((name for name, one in of_its_kind if _loaded_class(one.spec.target) is type(plugin)), None)
 
     def parts(self, plugins: Mapping[str, Plugin]) -> dict[str, str]:
         """Return the registered name of each plugin by its role, or where its class is: ``package.module:Class``."""
@@ -209,6 +209,12 @@ class Registry:
 def _distributions() -> Mapping[str, list[str]]:
     """Return the installed distributions by the packages that they brought."""
     return packages_distributions()
+
+
+def _loaded_class(target: str) -> Any:
+    """Return the class that a target names, None where its module has not been imported: then nobody made one of it."""
+    module, _, attribute = target.partition(":")
+    return getattr(sys.modules.get(module), attribute, None)
 
 
 def _target(plugin: Plugin) -> str:

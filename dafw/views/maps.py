@@ -86,7 +86,8 @@ def plot_route(runs: Mapping[str, Dataset]) -> Figure:
         style = run_style(index, len(runs))
         _draw_route(axes, one, style)
         entry = text if len(runs) > 1 else "route and readings" if one.sizes.get("vehicle") else "readings"
-        handles.append(Line2D([], [], **style, marker="o", markersize=4, label=entry))
+        line = style if one.sizes.get("vehicle") else style | {"linestyle": "none"}
+        handles.append(Line2D([], [], **line, marker="o", markersize=4, label=entry))
     if (position := landmark(run, "release")) is not None:
         handles += axes.plot(*position, **RELEASE, zorder=4.5, label="release")
     if any(one.sizes.get("vehicle") for one in runs.values()):

@@ -68,3 +68,7 @@ def test_an_option_cannot_take_a_name_that_is_taken():
 
     with pytest.raises(PluginError, match="an option cannot be called 'noise_sd'"):
         made(step)
+
+
+def test_the_class_is_of_the_functions_module():
+    assert (made().__module__, made().__qualname__) == (__name__, "drain")

@@ -159,3 +159,21 @@ def test_versions_are_those_of_every_package_of_plugins(tmp_path, monkeypatch):
         assert registry.versions([Toy()])["theirs"] == "2.5"
     finally:
         _distributions.cache_clear()
+
+
+def as_a_function_makes_it():
+    @dataclass
+    class Inner(Filter):
+        gain: float = 1.0
+
+    return Inner
+
+
+Alias = as_a_function_makes_it()
+
+
+def test_a_class_is_known_by_where_it_was_registered_whatever_it_calls_itself():
+    registry = Registry([FakeEntry("fake", package(PluginSpec("filter", "mine", f"{__name__}:Alias")))])
+    assert registry.recipe(Alias(gain=2.0)) == {"name": "mine", "gain": 2.0}
+    assert registry.parts({"filter": Alias(), "other": MyFilter()})["filter"] == "mine"
+    assert registry.recipe(MyFilter()) is None
