@@ -41,7 +41,7 @@ def test_processes_give_the_same_bits(study, alone, tmp_path, workers):
 def test_a_cluster_that_has_run_something_else_gives_the_same_bits(study, alone, tmp_path):
     from distributed import LocalCluster
 
-    with LocalCluster(n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None) as cluster:
+    with LocalCluster(n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=":0") as cluster:
         dask = {"name": "dask", "address": cluster.scheduler_address, "workers": 1}
         run_study(study(dask, seed=1), tmp_path / "other")
         run_study(study(dask | {"workers": None}), tmp_path / "run")
