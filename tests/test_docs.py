@@ -146,7 +146,7 @@ def try_page(page: Path, folder: Path, variables: dict[str, str]) -> int:
             raise AssertionError(f"{place}: nobody knows how to try a block of '{block.language}'")
         elif literal and printed:
             shown = [" ".join(line.split()) for line in printed.splitlines()]
-            assert [line for line in block.content.splitlines() if line not in shown] == [], place
+            assert [line for line in block.content.splitlines() if " ".join(line.split()) not in shown] == [], place
         if words:
             done = environment().run(*words, cwd=folder, **variables)
             assert done.returncode == 0, f"{place}\n{words[-1]}\n{done.stdout}\n{done.stderr}"

@@ -104,7 +104,7 @@ def test_a_plugin_whose_label_fails_is_still_named():
     with pytest.raises(ComputationError, match="phase 'forecast': model 'Broken' raised ValueError: broken"):
         dafw.run(study, "run")
     assert summary()["status"] == "failed"
-    with pytest.raises(ComputationError, match="^model 'Broken' raised ValueError in 'label': broken$"):
+    with pytest.raises(ComputationError, match=r"^model 'Broken' raised ValueError in 'label': broken$"):
         Study(model=broken(), truth=Walk(), filter=ETKF())
 
 
