@@ -59,11 +59,12 @@ def run_command(words: Sequence[str], communicator: Any = None) -> int:
     if communicator is not None and asked.multirun:
         raise ConfigurationError("mpirun works on one run: start the runs of a multirun one by one")
     sweep, jobs = None, list(single_runs(overrides)) if asked.multirun else [overrides]
+    hydra = study_hydra(folder)
     placed: set[str] = set()
     for number, job in enumerate(jobs):
         if job in jobs[:number]:
             raise ConfigurationError(f"the multirun has the same job twice: {' '.join(job)}")
-        config = compose(job, folder, name)
+        config = compose(job, folder, name, hydra)
         if config.hydra.job.chdir:
             raise ConfigurationError("hydra.job.chdir would move relative paths: it is not supported")
         if config.hydra.mode not in (None, RunMode.MULTIRUN if asked.multirun else RunMode.RUN):
@@ -86,7 +87,7 @@ def run_command(words: Sequence[str], communicator: Any = None) -> int:
         return _follow(study, communicator)
     if len({word for job in jobs for word in job if word.startswith("experiment=")}) > 1:
         overrides.append("hydra.job.config.override_dirname.exclude_keys=[]")  # else two jobs have the same folder
-    return _launch(study_hydra(folder), name, overrides, sweep, len(jobs), communicator)
+    return _launch(hydra, name, overrides, sweep, len(jobs), communicator)
 
 
 def _show(parser: ArgumentParser, asked: Namespace, overrides: list[str], folder: Path | None, name: str) -> int:
@@ -95,7 +96,7 @@ def _show(parser: ArgumentParser, asked: Namespace, overrides: list[str], folder
         raise ConfigurationError("run: expected only one of --run, --multirun, --cfg, --info and --shell-completion")
     asked.overrides = overrides
     hydra = study_hydra(folder)
-    compose(overrides, folder, name)  # says what is wrong in one line, and refuses code
+    compose(overrides, folder, name, hydra)  # says what is wrong in one line, and refuses code
     if asked.help:
         hydra.app_help(name, parser, asked)
     elif asked.hydra_help:

@@ -77,10 +77,16 @@ def study_hydra(more: Path | None = None) -> Hydra:
     return Hydra("dafw", StudyLoader(search_path))
 
 
-def compose(overrides: Sequence[str], more: Path | None = None, name: str = "config") -> DictConfig:
-    """Compose a study with Hydra's own part under ``hydra``; raises ConfigurationError in one line."""
+def compose(
+    overrides: Sequence[str], more: Path | None = None, name: str = "config", hydra: Hydra | None = None
+) -> DictConfig:
+    """Compose a study with Hydra's own part under ``hydra``; raises ConfigurationError in one line.
+
+    Who composes many hands in the same ``hydra`` of ``study_hydra(more)`` each time.
+    """
+    hydra = hydra or study_hydra(more)
     try:
-        config: DictConfig = study_hydra(more).compose_config(name, list(overrides), RunMode.RUN, from_shell=False)
+        config: DictConfig = hydra.compose_config(name, list(overrides), RunMode.RUN, from_shell=False)
     except (HydraException, OmegaConfBaseException, ValueError) as error:
         raise explained(error) from error
     refuse_code(config)
