@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from dafw.authoring.checks import ConformanceError, Factory, NotApplicable, check
+from dafw.authoring.checks import ConformanceError, Factory, NotApplicable, check, require
 from dafw.authoring.evidence import (
     global_generators,
     no_global_draws,
@@ -25,6 +25,7 @@ from dafw.authoring.filter_trials import (
     problems,
     require_equal_law,
     shares,
+    takes,
     with_option,
 )
 from dafw.authoring.problems import Problem, bounded_problems, gas_problem, gas_space, linear_problem
@@ -147,11 +148,13 @@ def prior_kept(factory: Factory) -> None:
 
 @check("filter")
 def inflation(factory: Factory) -> None:
-    """Inflation widens a forecast whose readings are worth nothing by its factor, whatever it is, about the same mean."""  # noqa: E501
+    """Inflation widens a forecast whose readings are worth nothing by its factor, whatever is allowed, about the same mean."""  # noqa: E501
     name = inflation_option(factory())
     if name is None:
         raise NotApplicable("has no option 'inflation' and declares no other as inflation_option")
-    for factor in (1.05, 1.5, 3.0):
+    factors = [factor for factor in (1.05, 1.5, 3.0) if takes(with_option(factory, **{name: factor}))]
+    require(factors, f"the option {name} takes neither 1.05 nor 1.5 nor 3")
+    for factor in factors:
         for number, cycle in _worthless(with_option(plain(factory), **{name: factor}), linear_problem(8)):
             mean = cycle.forecast.mean
             expected = moments(cycle.forecast)

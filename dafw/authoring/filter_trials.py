@@ -14,8 +14,9 @@ from dafw.authoring.problems import Problem, linear_problem
 from dafw.authoring.small_study import after, study_of
 from dafw.core.cycle import Cycle
 from dafw.core.ensemble import Ensemble
-from dafw.core.errors import ConfigurationError
+from dafw.core.errors import ConfigurationError, OptionError
 from dafw.core.interfaces import Filter
+from dafw.core.options import require_options
 from dafw.core.space import Array
 
 SEEDS = 64
@@ -112,6 +113,15 @@ def with_option(factory: Factory, **options: Any) -> Factory:
         return copy
 
     return make
+
+
+def takes(factory: Factory) -> bool:
+    """Say whether the options that the factory sets are in their ranges."""
+    try:
+        require_options(factory(), "")
+    except OptionError:
+        return False
+    return True
 
 
 def has_option(filter_: Filter, name: str) -> bool:

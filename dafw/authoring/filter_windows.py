@@ -13,7 +13,7 @@ import numpy as np
 from dafw.authoring.checks import Factory, NotApplicable, check
 from dafw.authoring.evidence import require_close, require_in_set
 from dafw.authoring.filter_kalman import require_accuracy
-from dafw.authoring.filter_trials import ROUNDING, accepted, has_option, moments, plain, with_option
+from dafw.authoring.filter_trials import ROUNDING, accepted, has_option, moments, plain, takes, with_option
 from dafw.authoring.problems import Problem, bounded_problems, linear_problem
 from dafw.authoring.small_study import SmallStudy, growth, require_same_cycles, study_of, watched
 from dafw.core.cycle import Cycle
@@ -35,7 +35,9 @@ def _windows(factory: Factory) -> Iterator[Factory]:
         raise NotApplicable("looks back at no earlier cycle")
     yield factory
     if has_option(filter_, "window") and filter_.window != SHORT:
-        yield with_option(factory, window=SHORT)
+        short = with_option(factory, window=SHORT)
+        if takes(short):
+            yield short
 
 
 def _problems(n_cycles: int) -> list[Problem]:

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 from broken import BROKEN
 from broken.executors import LeavesAProcess, Patient
 from broken.filters import LaterByMemory, LaterOnSelf, Square
 from broken.models import Walk
-from broken.observers import Ends
+from broken.observers import Ends, OverTime
 from broken.policies import Ahead, East
 from broken.readings import Sensor
 from broken.smoothers import RevisesTheStart
 from broken.weights import Weighing
 
+from dafw import option
 from dafw.authoring.evidence import require_mean
+from dafw.plugins.filters.enks import EnKS
 from dafw.plugins.filters.etkf import ETKF
 from dafw.plugins.filters.none import NoFilter
 from dafw.testing import CHECKS, ConformanceError, check_filter, run_checks
@@ -51,7 +55,7 @@ def test_each_check_has_a_broken_plugin_that_it_alone_catches():
     assert sorted(BROKEN) == sorted(ALL)
 
 
-@pytest.mark.parametrize("plugin", [Walk, Ends, East, Ahead, Square, Weighing, Sensor, Patient])
+@pytest.mark.parametrize("plugin", [Walk, Ends, OverTime, East, Ahead, Square, Weighing, Sensor, Patient])
 def test_what_the_faults_were_added_to_is_right(plugin):
     outcomes = list(run_checks(plugin.kind, plugin))
     assert {outcome.status for outcome in outcomes} <= {"passed", "not applicable"}
@@ -69,6 +73,20 @@ def test_a_belief_that_is_revised_outside_of_the_window_is_caught():
     outcomes = {outcome.check.name: outcome for outcome in run_checks("filter", RevisesTheStart)}
     assert outcomes["revised_in_set"].status == "failed"
     assert "lies outside its window, which goes back to cycle 1" in outcomes["revised_in_set"].detail
+
+
+def test_options_are_tried_within_their_ranges():
+    @dataclass
+    class Narrow(EnKS):
+        window: int | None = option(4, "cycles", minimum=3)
+        inflation: float = option(1.0, "factor", minimum=1.0, maximum=1.1)
+
+        def analyse_window(self, window, rng):
+            if self.window < 3 or self.inflation > 1.1:
+                raise RuntimeError("these options are refused before a study begins")
+            return super().analyse_window(window, rng)
+
+    check_filter(Narrow)
 
 
 def test_inflation_and_localization_are_switched_off_where_the_kalman_filter_is_the_measure():

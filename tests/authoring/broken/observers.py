@@ -23,6 +23,13 @@ def own(apply, R=(0.01, 0.01)):
     return made(covariance=np.array(R))
 
 
+class OverTime(Ends):
+    """Reads the better the longer it takes."""
+
+    def operator(self, space, route, t):
+        return replace(super().operator(space, route, t), covariance=np.full(2, 0.01 / route.dt))
+
+
 @breaks("shapes")
 class OneMemberLosesAnAxis(Ends):
     def operator(self, space, route, t):
