@@ -27,6 +27,7 @@ IMPORT_TIMEOUT = 180  # seconds; a cold disk takes its time over PETSc
 PACKAGES = {
     "dask.array": "dask",
     "dolfinx_solver, dolfinx": "dolfinx-solver-real",
+    "filelock": "filelock",
     "filterpy": "filterpy",
     "gmsh": "gmsh",
     "hydra": "hydra-core",

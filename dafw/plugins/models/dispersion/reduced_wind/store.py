@@ -12,7 +12,6 @@ is saved, old ones that were not used for weeks are removed.
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import io
 import logging
@@ -27,6 +26,7 @@ from typing import Literal
 from zipfile import BadZipFile
 
 import numpy as np
+from filelock import FileLock, Timeout
 
 from dafw.core.errors import ConfigurationError
 from dafw.core.making import making
@@ -73,18 +73,20 @@ class BasisStore:
 
         Raises ConfigurationError if the cache cannot be written to.
         """
+        lock = FileLock(self.folder / "lock")
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
-            file = (self.folder / "lock").open("w")
+            try:
+                lock.acquire(timeout=0)
+            except Timeout:
+                log.info("reduced basis: waiting for another process, which makes or enriches it")
+                lock.acquire()
         except OSError as error:
             raise _unwritable(self.folder, error) from None
-        with file:
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                log.info("reduced basis: waiting for another process, which makes or enriches it")
-                fcntl.flock(file, fcntl.LOCK_EX)
+        try:
             yield
+        finally:
+            lock.release()
 
     def content(self, digest: str) -> bytes:
         """Return the bytes of the basis with a digest; raises ConfigurationError if it is missing or damaged."""
