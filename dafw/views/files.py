@@ -23,6 +23,8 @@ from dafw.views.style import RESOLUTION
 if TYPE_CHECKING:
     from xarray import Dataset
 
+LONGEST_OVERRIDE = 40
+
 
 def draw_all(run: Dataset, folder: Path) -> list[Path]:
     """Write every picture that this run has the content for and return the files.
@@ -150,7 +152,12 @@ def _own_overrides(files: Sequence[Path]) -> list[str]:
             listed = []  # a label less
         told.append([str(item) for item in listed] if isinstance(listed, list) else [])
     common = set.intersection(*map(set, told))
-    return [", ".join(item for item in one if item not in common) for one in told]
+    return [", ".join(_short(item) for item in one if item not in common) for one in told]
+
+
+def _short(override: str) -> str:
+    """Return an override cut to a length that a legend has room for: a list of readings would fill a page."""
+    return override if len(override) <= LONGEST_OVERRIDE else f"{override[: LONGEST_OVERRIDE - 3]}..."
 
 
 def _save(figure: Figure, file: Path) -> Path:

@@ -134,6 +134,11 @@ def test_what_a_study_of_any_kind_records_can_be_drawn(more, expected, tmp_path)
         ([{"name": "a"}, {"name": "b"}], None, ["a", "b"]),
         ([{"seed": 1}, {"seed": 2}], None, ["plant, seed 1", "plant, seed 2"]),
         ([{}, {}], ["policy.theta=0.0", "policy.theta=0.2"], ["policy.theta=0.0", "policy.theta=0.2"]),
+        (
+            [{}, {}],
+            ["readings.readings=[{time: 0.5, value: 1.0, entry: 0}]", "seed=1"],
+            ["readings.readings=[{time: 0.5, value:...", "seed=1"],
+        ),
     ],
 )
 def test_runs_are_called_by_what_tells_them_apart(plant_run, tmp_path, monkeypatch, attributes, overrides, expected):
@@ -146,7 +151,7 @@ def test_runs_are_called_by_what_tells_them_apart(plant_run, tmp_path, monkeypat
         (folder / ".hydra").mkdir(parents=True)
         plant_run.isel(time=slice(0, 2)).assign_attrs(own).to_netcdf(folder / "run.nc")
         if overrides:
-            (folder / ".hydra" / "overrides.yaml").write_text(f"- experiment=paper\n- {overrides[index]}\n")
+            (folder / ".hydra" / "overrides.yaml").write_text(f"- experiment=paper\n- '{overrides[index]}'\n")
     draw_runs([tmp_path / "0", tmp_path / "1"], tmp_path / "out")
     assert list(seen) == expected
 
