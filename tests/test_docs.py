@@ -159,6 +159,12 @@ def test_a_page_does_what_it_says(page, tmp_path, variables):
     try_page(page, tmp_path, variables)
 
 
+def test_a_study_without_a_truth_is_a_short_script():
+    (script,) = [block.content for block in blocks(ROOT / "docs" / "python.md") if "Listed(" in block.content]
+    assert "arrives" in script and "truth" not in script
+    assert len(script.splitlines()) <= 20
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_commands_stand_in_blocks(page):
     fenced = BLOCK.sub("", page.read_text(encoding="utf-8"))
