@@ -200,8 +200,15 @@ class StateSpace:
 
         Zero where no variable says what is plausible; NaN where a variable that does holds NaN.
         """
-        ratios = [max(members[..., part].max(), -members[..., part].min()) / limit for part, limit in self._bounded]
-        return float(np.max(ratios)) if ratios else 0.0
+        largest = 0.0
+        for part, limit in self._bounded:
+            values = members[..., part]
+            # The reductions themselves, since the methods of an array take three times as long for a small one.
+            ratio = max(np.maximum.reduce(values, axis=None), -np.minimum.reduce(values, axis=None)) / limit
+            if ratio != ratio:
+                return float("nan")
+            largest = max(largest, float(ratio))
+        return largest
 
     def place_of(self, entry: int) -> str:
         """Return the variable, and the node where it has several, of entry ``entry`` of the state."""

@@ -135,3 +135,25 @@ def test_spaces_agree_when_they_mean_the_same_at_the_same_places():
 def test_an_unknown_variable_is_refused_with_the_names_there_are():
     with pytest.raises(ConfigurationError, match="height, gas, direction"):
         SPACE.slice("temperature")
+
+
+def test_the_excess_is_how_far_members_are_beyond_what_is_plausible():
+    space = StateSpace([Variable("gas", 3, plausible=2.0), Variable("rate", 1), Variable("speed", 1, plausible=10.0)])
+    members = np.array([[1.0, -4.0, 0.0, 1e9, 5.0], [0.0, 0.0, 1.0, 0.0, 15.0]])
+    assert space.excess(members) == 2.0 and space.excess(members[1:]) == 1.5
+    assert space.excess(np.zeros((2, 5))) == 0.0
+    assert space.farthest(members) == (0, 1) and space.place_of(1) == "'gas' at node 1"
+    assert space.farthest(members[1:]) == (0, 4) and space.place_of(4) == "'speed'"
+    members[1, 2] = np.nan
+    assert np.isnan(space.excess(members))
+    members[1, 2], members[0, 4] = np.inf, np.nan
+    assert np.isnan(space.excess(members))
+
+
+def test_where_nothing_is_said_to_be_plausible_the_largest_number_is_the_most_extreme():
+    space = StateSpace([Variable("gas", 3), Variable("rate", 1)])
+    members = np.array([[1.0, -4.0, 0.0, 2.0], [0.0, 0.0, 1.0, 3.0]])
+    assert space.excess(members * 1e30) == 0.0
+    assert space.farthest(members) == (0, 1)
+    with pytest.raises(ConfigurationError, match="plausible must be above zero, got -1"):
+        Variable("gas", 3, plausible=-1.0)

@@ -30,7 +30,10 @@ from dafw.core.errors import OptionError
 from dafw.core.interfaces import Model
 from dafw.core.options import option
 from dafw.core.rng import MemberStreams
-from dafw.core.space import Array, StateSpace, Variable
+from dafw.core.space import FIELD, Array, StateSpace, Variable
+
+SEEN_BY_NOBODY = 10.0
+"""Standard deviations from the mean within which every draw of a normal distribution lies that anybody will see."""
 
 
 @dataclass
@@ -64,7 +67,10 @@ class LinearAdvection(Model):
                 f"model 'linear_advection': error_correlation must be below 1, got {self.error_correlation:g}"
             )
         self.x: Array = np.linspace(0.0, self.length, self.cells, endpoint=False)
-        self.space = StateSpace([Variable("u", self.cells, coordinates=self.x[:, np.newaxis], long_name="amplitude")])
+        # The scheme makes no number larger than the largest before. Model errors add up without end.
+        plausible = SEEN_BY_NOBODY if self.error_sd == 0.0 else np.inf
+        places = self.x[:, np.newaxis]
+        self.space = StateSpace([Variable("u", self.cells, FIELD, "1", places, "amplitude", plausible)])
 
     def initial(self, n_members: int, rng: MemberStreams) -> Array:
         """Return draws (N, n) of the random waves."""

@@ -80,7 +80,10 @@ class Lorenz96(Model):
     spinup: int = option(400, "steps from a fixed wave to the mean of the first guess", minimum=0)
 
     def __post_init__(self) -> None:
-        self.space = StateSpace([Variable("x", self.size, long_name="Lorenz-96 variable")])
+        # The sum of x^2 decreases wherever it exceeds n F^2. The first guess may lie outside: without spin-up its mean
+        # is F + 1 at most, and no draw is four standard deviations from it in the root mean square of n numbers.
+        largest = np.sqrt(self.size) * (abs(self.forcing) + 1.0 + 4.0 * self.first_guess_sd)
+        self.space = StateSpace([Variable("x", self.size, long_name="Lorenz-96 variable", plausible=float(largest))])
 
     def initial(self, n_members: int, rng: MemberStreams) -> Array:
         """Return draws (N, n) around the spun-up state."""

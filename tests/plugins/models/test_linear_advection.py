@@ -102,3 +102,10 @@ def test_a_run_places_its_readings_and_finds_the_waves(tmp_path):
         # Once round the circle: the truth is where it was, and the belief has found it.
         np.testing.assert_array_equal(run["u_truth"][40], run["u_truth"][0])
         assert run["rmse"][40] < 0.2 < 0.5 < run["rmse"][0]
+
+
+def test_numbers_grow_beyond_what_is_plausible_only_by_model_errors():
+    model = LinearAdvection(cells=50, speed=0.5)
+    x = model.initial(200, STREAMS)
+    assert model.space.excess(moved(model, x, 100)) <= model.space.excess(x) < 0.8
+    assert LinearAdvection(error_sd=0.1).space["u"].plausible == np.inf

@@ -48,6 +48,18 @@ def test_members_do_not_see_each_other():
     assert np.array_equal(together, np.concatenate([model.step(one[np.newaxis], 0.0, STREAMS) for one in members]))
 
 
+@pytest.mark.parametrize(("size", "forcing"), [(4, 0.0), (4, 30.0), (5, 8.0), (40, 8.0), (40, -8.0), (60, 12.0)])
+@pytest.mark.parametrize("spinup", [0, 400])
+def test_no_state_is_larger_than_what_is_said_to_be_plausible(size, forcing, spinup):
+    model = Lorenz96(size=size, forcing=forcing, dt=0.01, first_guess_sd=3.0, spinup=spinup)
+    x = model.initial(50, STREAMS)
+    largest = model.space.excess(x)
+    for _ in range(500):
+        x = model.step(x, 0.0, STREAMS)
+        largest = max(largest, model.space.excess(x))
+    assert 0.0 < largest < 1.0
+
+
 def test_first_guess_is_around_one_state_of_the_attractor():
     model = Lorenz96(first_guess_sd=0.5)
     centre = Lorenz96(first_guess_sd=0.0).initial(1, Streams(7).members("another", 0))

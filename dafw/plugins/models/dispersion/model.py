@@ -31,6 +31,7 @@ from dafw.core.space import ANGLE, NONNEGATIVE, Array, StateSpace, Variable
 from dafw.plugins.models.dispersion.mesh.options import MeshOptions
 from dafw.plugins.models.dispersion.mesh.partition import Partition, Undivided
 from dafw.plugins.models.dispersion.mesh.tagged import TaggedMesh
+from dafw.plugins.models.dispersion.plausible import largest_concentration, strongest_wind
 from dafw.plugins.models.dispersion.site.options import SiteOptions
 from dafw.plugins.models.dispersion.transport.options import TransportOptions
 
@@ -152,8 +153,10 @@ class AdvectionDiffusion(Model):
         nodes = self._topology[0]
         return StateSpace(
             [
-                Variable("concentration", len(nodes), NONNEGATIVE, "1", nodes),
-                Variable("wind_speed", 1, NONNEGATIVE, "m s-1"),
+                Variable("concentration", len(nodes), NONNEGATIVE, "1", nodes, "", largest_concentration(self.noise)),
+                Variable(
+                    "wind_speed", 1, NONNEGATIVE, "m s-1", plausible=strongest_wind(self.wind_speed, self.wind_speed_sd)
+                ),
                 Variable("wind_direction", 1, ANGLE, "rad"),
             ]
         )
