@@ -195,7 +195,8 @@ def advance(parts: Parts, state: State) -> Cycle:
     with clock.phase("observe", parts.readings):
         truth_seen = parts.seen(truth)
         end = forecast.ensemble.time
-        request = Request(cycle, now, end, parts.model.space, parts.model.domain, operator, truth_seen)
+        told = truth_seen if parts.readings.needs_truth else None
+        request = Request(cycle, now, end, parts.model.space, parts.model.domain, operator, told)
         taken = parts.readings.collect(request, state.readings_memory, streams.generator("observation noise", cycle))
         reach = [*(past.number for past in state.past), cycle] if parts.filter.window != 0 else [cycle]
         readings = sort_by_cycle(taken.observations, request, parts.model.dt, reach, parts.late_readings)
