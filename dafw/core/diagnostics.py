@@ -43,8 +43,8 @@ def scores(
     found["spread"] = root_mean_square(belief.spread[part])
     if truth is None:
         return found
-    found["err"] = error_of(space, truth, belief.mean)
-    found["rmse"] = root_mean_square(space.difference(belief.mean, truth)[part])
+    off = space.difference(truth, belief.mean)[part]
+    found["err"], found["rmse"] = relative_error(truth[part], off), root_mean_square(off)
     if forecast:
         found["err_forecast"] = error_of(space, truth, forecast.mean)
     if free:

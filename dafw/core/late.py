@@ -13,6 +13,9 @@ from dafw.core.observation import Observation, merged_observations
 from dafw.core.space import Array
 
 LATE_CHOICES = ("drop", "use")
+USES = ("on_time", "late_in_window", "late_used_now", "late_dropped", "before_start")
+"""What becomes of a reading."""
+NONE = dict.fromkeys(USES, 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,10 +45,13 @@ def sort_by_cycle(
     if they were of now, or ``drop``. A reading from before the first cycle is dropped: it is about another time than
     the study's.
     """
+    if len(observations) == 1 and observations[0].time == request.end:  # as in every cycle of a twin
+        one = observations[0]
+        return Sorted(one, np.full(one.values.size, one.time), counts={**NONE, "on_time": one.values.size})
     now: list[Observation] = []
     late: list[tuple[int, Observation]] = []
     dropped: list[Observation] = []
-    counts = dict.fromkeys(("on_time", "late_in_window", "late_used_now", "late_dropped", "before_start"), 0)
+    counts = {**NONE}
     for observation in observations:
         cycle = request.cycle - max(0, math.floor((request.end - observation.time) / dt + 1e-9))
         size = observation.values.size

@@ -39,6 +39,8 @@ from dafw.plugins.filters.rotation import uniform_orthogonal, zero_mean_basis
 
 def _whitened(predicted_anomalies: Array, innovation: Array, covariance: Array) -> tuple[Array, Array]:
     """Return both in units of the readings' errors, by one factorisation of a covariance that is full."""
+    if covariance.ndim == 1:
+        return whiten(covariance, predicted_anomalies), whiten(covariance, innovation)
     rows = whiten(covariance, np.vstack([predicted_anomalies, innovation]))
     return rows[:-1], rows[-1]
 
@@ -65,7 +67,9 @@ def rotated_transform(
     basis = zero_mean_basis(n_members)
     Y, dy = _whitened(predicted_anomalies, innovation, covariance)  # noqa: N806
     Y = basis.T @ Y  # noqa: N806
-    L = np.linalg.cholesky(Y @ Y.T + (n_members - 1) * np.eye(n_members - 1))  # noqa: N806
+    gram = Y @ Y.T
+    gram.flat[::n_members] += n_members - 1  # its diagonal
+    L = np.linalg.cholesky(gram)  # noqa: N806
     root = np.linalg.solve(L, basis.T)
     Lambda = (root @ (basis @ (Y @ dy))) @ root  # noqa: N806
     Q = uniform_orthogonal(n_members - 1, rng)  # noqa: N806
@@ -85,7 +89,7 @@ class ETKF(Filter):
         self, forecast: Ensemble, predicted: Array, observation: Observation, rng: np.random.Generator
     ) -> Analysis:
         """Return mean + (Lambda + T) anomalies, brought back into the state's set."""
-        predicted_mean = predicted.mean(axis=0)
+        predicted_mean = np.add.reduce(predicted, axis=0) / len(predicted)
         anomalies, innovation = self.inflation * (predicted - predicted_mean), observation.values - predicted_mean
         if self.rotation:
             weights, matrix = rotated_transform(anomalies, innovation, observation.covariance, rng)
