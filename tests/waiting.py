@@ -43,6 +43,11 @@ def halt(folder: str, cycle: int) -> None:
         time.sleep(0.05)
 
 
+def halt_task(folder: str, *task: object) -> None:
+    """Wait instead of doing what a worker was given to do."""
+    halt(folder, HALT)
+
+
 @dataclass
 class Halting(Stationary):
     """Nobody moves, and one decision waits."""

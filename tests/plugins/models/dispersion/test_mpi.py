@@ -8,7 +8,6 @@ import os
 import re
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import netCDF4
@@ -20,6 +19,7 @@ from divided_mesh import results
 from dolfinx import fem
 from mpi4py import MPI
 from scipy.spatial import KDTree
+from waiting import PATIENCE, go_on, halted
 
 from dafw.commands import main
 from dafw.core.errors import ConfigurationError
@@ -46,7 +46,7 @@ CLOUDS = [
 def mpiexec(*words, cwd):
     """Run two Python processes by the mpiexec beside this interpreter."""
     command = [str(Path(sys.executable).parent / "mpiexec"), "-n", "2", sys.executable, *map(str, words)]
-    return subprocess.run(command, cwd=cwd, env=os.environ, capture_output=True, text=True, timeout=90)
+    return subprocess.run(command, cwd=cwd, env=os.environ, capture_output=True, text=True, timeout=PATIENCE)
 
 
 @pytest.fixture(scope="module")
@@ -244,13 +244,11 @@ def test_trouble_on_one_rank_ends_them_all(folder):
 
 def test_a_run_that_is_told_to_stop_ends_after_its_cycle_on_all_ranks(folder):
     command = [str(Path(sys.executable).parent / "mpiexec"), "-n", "2", sys.executable, *RUN, "cycles=100000"]
-    log = folder / "stopped" / "run.log"
-    with subprocess.Popen([*command, "hydra.run.dir=stopped"], cwd=folder, stderr=subprocess.PIPE, text=True) as run:
-        deadline = time.monotonic() + 60.0
-        while not (log.exists() and "ERR" in log.read_text()) and time.monotonic() < deadline:
-            time.sleep(0.05)
+    halting = ["policy=halting", f"policy.folder={folder / 'halt'}", "hydra.run.dir=stopped"]
+    with halted([*command, *halting], folder, waiting=2) as run:
         run.terminate()
-        _, said = run.communicate(timeout=60)
+        go_on(folder)
+        _, said = run.communicate(timeout=PATIENCE)
     assert "dafw: interrupted:" in said.splitlines()[0]
     assert "Abort" not in said
     summary = json.loads((folder / "stopped" / "summary.json").read_text())
@@ -278,5 +276,5 @@ def test_other_commands_are_refused_by_one_rank_and_load_no_mpi(folder):
 def test_a_single_process_never_asks_for_mpi_where_it_need_not(folder):
     code = "import sys; from dafw.commands import main; main(['--help']); main(['plugins']); "
     code += "print('mpi4py' in sys.modules)"
-    ended = subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, timeout=60)
+    ended = subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, timeout=PATIENCE)
     assert ended.stdout.splitlines()[-1] == "False"

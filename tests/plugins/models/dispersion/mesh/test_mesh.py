@@ -17,6 +17,7 @@ import pytest
 import shapely
 from dolfinx import fem
 from dolfinx.mesh import entities_to_geometry, exterior_facet_indices
+from waiting import PATIENCE
 
 from dafw.core.options import build
 from dafw.plugins.models.dispersion.mesh import generate as generate_module
@@ -194,7 +195,7 @@ def test_equal_input_gives_equal_bytes_here_and_in_another_process(cache, monkey
         for _ in range(2)  # at once, into the same folder
     ]
     for maker in makers:
-        made = Path(maker.communicate(timeout=60)[0].strip())
+        made = Path(maker.communicate(timeout=PATIENCE)[0].strip())
         assert made.name == first.name and made.read_bytes() == kept
     assert [path.name for path in (tmp_path / "other").iterdir()] == [first.name]
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from flow_meshes import rectangle
+from waiting import PATIENCE
 
 from dafw.core.errors import ConfigurationError
 from dafw.plugins.models.dispersion.mesh.generate import generate
@@ -243,7 +244,7 @@ for k in range(20):
 def test_two_processes_at_once_lose_nothing(tmp_path):
     (tmp_path / "count").write_text("0")
     workers = [subprocess.Popen([sys.executable, "-c", WORKER, str(tmp_path), str(k)]) for k in (1, 2)]
-    assert [worker.wait(60) for worker in workers] == [0, 0]
+    assert [worker.wait(PATIENCE) for worker in workers] == [0, 0]
     assert (tmp_path / "count").read_text() == "40"
     winds = BasisStore(tmp_path).waiting(6, 100)
     assert sorted((round(w.parameters[0] / 0.1), w.parameters[1]) for w in winds) == sorted(
@@ -270,14 +271,14 @@ def dead(folder):
     """Return what a process that was killed left in a folder."""
     code = "import os, sys; from pathlib import Path; from dafw.core.making import making; "
     code += "block = making(Path(sys.argv[1])); print(block.__enter__(), flush=True); os.kill(os.getpid(), 9)"
-    made = subprocess.run([sys.executable, "-c", code, str(folder)], capture_output=True, text=True, timeout=60)
+    made = subprocess.run([sys.executable, "-c", code, str(folder)], capture_output=True, text=True, timeout=PATIENCE)
     return Path(made.stdout.strip())
 
 
 ENRICHING = """
-import sys, time
+import os, sys, time
 from pathlib import Path
-sys.path[:0] = [sys.argv[1], str(Path(sys.argv[1]).parent)]
+sys.path[:] = sys.argv[1].split(os.pathsep)
 from test_basis_store import ENRICH, plain_block
 from dafw.plugins.models.dispersion.wind_solvers import wind_solver
 number, meeting = int(sys.argv[2]), Path(sys.argv[3])
@@ -300,15 +301,15 @@ def test_two_runs_that_enrich_at_once_both_get_both_winds(block, cache):
     plain = wind_solver(block, OPTIONS).digest
     meeting = cache / "meeting"
     meeting.mkdir()
-    here = str(Path(__file__).parent)
+    path = os.pathsep.join(sys.path)
     runs = [
         subprocess.Popen(
-            [sys.executable, "-c", ENRICHING, here, str(n), str(meeting)],
+            [sys.executable, "-c", ENRICHING, path, str(n), str(meeting)],
             stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         )
         for n in (1, 2)
     ]  # fmt: skip
-    said = [run.communicate(timeout=120) for run in runs]
+    said = [run.communicate(timeout=PATIENCE) for run in runs]
     assert [run.returncode for run in runs] == [0, 0], said
     newest = wind_solver(block, ENRICH).digest
     assert newest != plain

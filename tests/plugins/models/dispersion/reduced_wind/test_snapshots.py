@@ -2,15 +2,11 @@
 
 import json
 import logging
-import os
 import signal
-import subprocess
-import sys
-import time
-from pathlib import Path
 
 import numpy as np
 import pytest
+from waiting import PATIENCE, children, ended, halted
 
 from dafw.core import workers
 from dafw.core.options import build as built
@@ -101,50 +97,30 @@ def test_a_wind_that_cannot_be_solved_ends_its_row(mesh, monkeypatch, caplog, co
         snapshots(WindSolver(mesh, strong), mesh.file)
 
 
-def children(process):
-    """Return the processes that one started and that are still there."""
-    found = []
-    for stat in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            fields = stat.read_text().rpartition(")")[2].split()
-        except OSError:
-            continue
-        if int(fields[1]) == process and fields[0] != "Z":
-            found.append(int(stat.parent.name))
-    return found
+HALTING = """
+import sys
+from functools import partial
+from waiting import halt_task
+from dafw.commands import main
+from dafw.plugins.models.dispersion.reduced_wind import snapshots
+snapshots._row_in_worker = partial(halt_task, sys.argv[1])
+sys.exit(main(sys.argv[2:]))
+"""
 
 
-def is_there(process):
-    try:
-        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except OSError:
-        return False
-
-
-@pytest.mark.skipif(workers.cores() < 2 or not Path("/proc").is_dir(), reason="needs two cores and /proc")
+@pytest.mark.skipif(workers.cores() < 2, reason="a single core has no workers")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
-def test_a_run_that_is_stopped_while_it_makes_its_basis_leaves_no_process(tmp_path, number):
+def test_a_run_that_is_stopped_while_it_makes_its_basis_leaves_no_process(tmp_path, monkeypatch, number):
+    monkeypatch.setenv("DAFW_CACHE", str(tmp_path / "cache"))
+    (tmp_path / "halting.py").write_text(HALTING)
     mesh = ["model.mesh.wall_size=40", "model.mesh.far_size=60"]
-    long = ["model.wind.solver=reduced", "model.wind.basis.directions=2000", "model.wind.basis.levels=9"]
-    words = ["run", "experiment=enie2d", *mesh, *long]
-    run = subprocess.Popen(
-        [sys.executable, "-m", "dafw", *words],
-        cwd=tmp_path,
-        env={**os.environ, "DAFW_CACHE": str(tmp_path / "cache")},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    deadline = time.monotonic() + 60.0
-    while not (helpers := children(run.pid)) and run.poll() is None and time.monotonic() < deadline:
-        time.sleep(0.1)
-    assert helpers
-    time.sleep(1.0)
-    run.send_signal(number)
-    _, error = run.communicate(timeout=60)
-    while any(map(is_there, helpers)) and time.monotonic() < deadline + 60.0:
-        time.sleep(0.1)
-    assert not any(map(is_there, helpers))
+    basis = ["model.wind.solver=reduced", "model.wind.basis.directions=2000", "model.wind.basis.levels=9"]
+    words = ["halting.py", str(tmp_path / "halt"), "run", "experiment=enie2d", *mesh, *basis]
+    with halted(words, tmp_path, waiting=2) as run:
+        helpers = children(run.pid)
+        run.send_signal(number)
+        _, error = run.communicate(timeout=PATIENCE)
+    assert len(helpers) >= 2 and ended(helpers)
     (summary,) = tmp_path.glob("outputs/*/*/summary.json")
     assert json.loads(summary.read_text())["status"] == "interrupted"
     if number != signal.SIGKILL:
