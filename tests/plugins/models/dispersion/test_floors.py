@@ -11,7 +11,19 @@ import dafw.plugins.models.dispersion as package
 ROOT = Path(package.__file__).parent
 NAME = package.__name__
 
-ORDER = ("cache", "site", "fem", "mesh", "wind", "transport", "reduced_wind", "wind_solvers", "first_guess", "model")
+ORDER = (
+    "cache",
+    "site",
+    "fem",
+    "mesh",
+    "wind",
+    "transport",
+    "reduced_wind",
+    "wind_solvers",
+    "first_guess",
+    "plausible",
+    "model",
+)
 """Rooms and modules from the lowest on; nothing imports what stands after it."""
 
 

@@ -182,9 +182,9 @@ def test_equal_input_gives_equal_bytes_here_and_in_another_process(cache, monkey
     generate(site_with(), SMALL)
     first.unlink()
     assert generate(BLOCKS, SMALL).read_bytes() == kept
-    here = Path(__file__)
-    where = f"import sys; sys.path.insert(0, {str(here.parent)!r})"
-    script = f"{where}; from {here.stem} import *; print(generate(BLOCKS, SMALL))"
+    script = (
+        f"import sys; sys.path[:] = {sys.path!r}; from {Path(__file__).stem} import *; print(generate(BLOCKS, SMALL))"
+    )
     makers = [
         subprocess.Popen(
             [sys.executable, "-c", script],
