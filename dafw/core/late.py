@@ -13,6 +13,8 @@ from dafw.core.observation import Observation, merged_observations
 from dafw.core.space import Array
 
 LATE_CHOICES = ("drop", "use")
+FORGIVEN = 1e-6
+"""Share of a time step by which the time of a reading may be off: times of cycles are sums of rounded steps."""
 USES = ("on_time", "late_in_window", "late_used_now", "late_dropped", "before_start")
 """What becomes of a reading."""
 NONE = dict.fromkeys(USES, 0)
@@ -53,7 +55,7 @@ def sort_by_cycle(
     dropped: list[Observation] = []
     counts = {**NONE}
     for observation in observations:
-        cycle = request.cycle - max(0, math.floor((request.end - observation.time) / dt + 1e-9))
+        cycle = request.cycle - max(0, math.floor((request.end - observation.time) / dt + FORGIVEN))
         size = observation.values.size
         if cycle == request.cycle:
             now.append(observation)

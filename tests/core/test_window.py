@@ -218,7 +218,7 @@ def test_late_readings_in_a_silent_cycle_are_reason_enough_to_ask_the_filter():
 
 @pytest.mark.parametrize(
     ("time", "where"),
-    [(6.0, 2), (4.0 + 1e-6, 2), (4.0, 1), (3.9, 1), (2.0 + 1e-12, 0), (0.1, 0), (0.0, None), (-3.0, None)],
+    [(6.0, 2), (4.0 + 1e-5, 2), (4.0, 1), (3.9, 1), (2.0 + 1e-12, 0), (0.1, 0), (0.0, None), (-3.0, None)],
 )
 def test_a_reading_belongs_to_the_cycle_in_whose_time_it_was_taken(time, where):
     from dafw.core.interfaces.readings import Request
@@ -231,6 +231,17 @@ def test_a_reading_belongs_to_the_cycle_in_whose_time_it_was_taken(time, where):
         assert sorted_.now.values.size == 1 and sorted_.now.time == 6.0
     else:
         assert [number for number, _ in sorted_.late] == [where]
+
+
+def test_a_late_reading_finds_its_cycle_after_many_rounded_steps():
+    from dafw.core.interfaces.readings import Request
+
+    times = np.cumsum(np.full(100_000, 0.1))
+    for cycle in (99_999, 54_321, 77):
+        request = Request(cycle, times[cycle - 1], times[cycle], toy_parts().model.space, None, NODE_0)
+        exact = Observation(np.array([1.0]), NODE_0, round(cycle * 0.1, 1))  # the end of the cycle before, as read
+        sorted_ = sort_by_cycle([exact], request, 0.1, [cycle - 1, cycle], "drop")
+        assert [number for number, _ in sorted_.late] == [cycle - 1]
 
 
 def test_a_reading_from_the_future_is_refused():
