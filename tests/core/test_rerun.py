@@ -1,18 +1,23 @@
 """Running the model again: a replay has the belief's bits, planning has streams of its own, many runs at once."""
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 from toys import Counting, Growth, Nudge, toy_parts
 from trouble import Trouble
 
+import dafw
 from dafw import (
     Analysis,
     ComputationError,
     ConfigurationError,
     ContractError,
     Ensemble,
+    Filter,
     Selection,
     StateSpace,
+    Study,
     Variable,
     Vehicle,
 )
@@ -20,8 +25,11 @@ from dafw.core.cycle import advance, start
 from dafw.core.executors.batches import Batch
 from dafw.core.executors.processes import Processes
 from dafw.core.executors.serial import Serial
+from dafw.core.registry import registry
 from dafw.core.rerun import Rerun
 from dafw.core.rng import Streams
+from dafw.plugins.models.linear_advection import LinearAdvection
+from dafw.plugins.observers.grid import Grid
 
 VEHICLE = Vehicle(np.zeros((1, 2)), speed=1.0, dt=2.0)
 TWO_NODES = Selection(indices=np.array([0, 2]), covariance=np.ones(2))
@@ -206,3 +214,34 @@ def test_members_of_another_state_are_refused():
     space = StateSpace([Variable("gas", 4)])
     with pytest.raises(ContractError, match=r"model 'Counting': a re-run needs members \(N, 5\), got \(2, 4\)"):
         parts.rerun(Ensemble(np.zeros((2, 4)), space), 0, 1)
+
+
+@dataclass
+class Restart(Filter):
+    """Runs the first guess again from the start, moved by what the last reading missed, and hands the past back."""
+
+    window: int | None = None
+
+    def analyse_window(self, window, rng):
+        missed = window.observation.values.mean() - window.predicted.mean()
+        start = window.first.ensemble
+        moved = start.with_members(start.members + 0.1 * missed * rng.standard_normal((len(start), 1)))
+        numbers = [cycle.number for cycle in window.cycles]
+        replay = window.rerun(moved, numbers[0], numbers[-1] + 1, keep=True)
+        revised = dict(zip(numbers[1:], replay.states[:-1], strict=True))
+        return Analysis(replay.forecast.ensemble.members, revised=revised, model_memory=replay.forecast.memory)
+
+
+def test_a_filter_that_runs_the_model_again_has_the_same_bits_on_every_executor(tmp_path):
+    files = {}
+    for name in ("serial", "processes", "dask"):
+        executor = registry().create("executor", {"name": name} | ({} if name == "serial" else {"workers": 2}))
+        model, truth = (LinearAdvection(cells=20, length=20.0, error_sd=0.1) for _ in range(2))
+        study = Study(
+            model=model, truth=truth, filter=Restart(), observer=Grid(stride=5), executor=executor, members=5, cycles=4,
+            record="all",
+        )  # fmt: skip
+        with dafw.run(study, tmp_path / name) as run:
+            files[name] = {key: run[key].values.tobytes() for key in run.data_vars if key != "phase_seconds"}
+    assert "u_smoothed_mean" in files["serial"]
+    assert files["serial"] == files["processes"] == files["dask"]
