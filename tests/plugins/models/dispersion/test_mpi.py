@@ -267,9 +267,11 @@ def test_a_rank_looks_the_mesh_up_once(options, monkeypatch):
 
 
 def test_other_commands_are_refused_by_one_rank_and_load_no_mpi(folder):
-    code = "import sys; from dafw.commands import main; print(main(['plugins']), 'mpi4py' in sys.modules)"
+    # A file for each rank: what two of them print at once may be mixed up.
+    code = "import os, sys, pathlib; from dafw.commands import main; status = main(['plugins']); "
+    code += "pathlib.Path(f'{os.getpid()}.rank').write_text(f'{status} {\"mpi4py\" in sys.modules}')"
     ended = mpiexec("-c", code, cwd=folder)
-    assert ended.stdout.splitlines() == ["2 False", "2 False"]
+    assert [path.read_text() for path in Path(folder).glob("*.rank")] == ["2 False", "2 False"], ended.stderr
     assert ended.stderr == "dafw: 'dafw plugins' works in one process: mpirun is for 'dafw run'\n"
 
 
