@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 from time import perf_counter
 from typing import Self
 
-from dafw.core.ensemble import Analysis, Diagnostics, Ensemble, Forecast, Memory, Route, Vehicle
+from dafw.core.ensemble import Analysis, Diagnostics, Ensemble, Forecast, Memory, Route, Vehicle, handed_over
 from dafw.core.errors import ComputationError, DafwError
 from dafw.core.executors import Executor
 from dafw.core.executors.batches import Batch
@@ -213,7 +213,7 @@ def advance(parts: Parts, state: State) -> Cycle:
             analysis = parts.filter.look_back(window, rng)
             past = _kept(parts.filter, past, analysis)
 
-    posterior = forecast.ensemble.with_members(analysis.members, analysis.weights)
+    posterior = forecast.ensemble.with_members(handed_over(analysis.members), analysis.weights)
     model_memory = forecast.memory if analysis.model_memory is None else analysis.model_memory
     after = State(
         cycle=cycle + 1,

@@ -32,8 +32,8 @@ def freeze(array: Any) -> Array:
     return frozen
 
 
-def _frozen(fresh: Array) -> Array:
-    """Make an array read-only that was made a moment ago and that nobody else holds."""
+def handed_over(fresh: Array) -> Array:
+    """Make an array read-only without a copy, and return it: whoever made it gives it away and writes to it no more."""
     fresh.setflags(write=False)
     return fresh
 
@@ -100,12 +100,12 @@ class Ensemble:
     @cached_property
     def mean(self) -> Array:
         """The mean (n,); circular for angles."""
-        return _frozen(self.space.mean(self.members, self.weights))
+        return handed_over(self.space.mean(self.members, self.weights))
 
     @cached_property
     def anomalies(self) -> Array:
         """Members less their mean (N, n); wrapped for angles."""
-        return _frozen(self.space.difference(self.members, self.mean))
+        return handed_over(self.space.difference(self.members, self.mean))
 
     @cached_property
     def variance(self) -> Array:
@@ -114,17 +114,17 @@ class Ensemble:
         With weights w it is the weighted mean square over 1 - sum w^2, and zero where one member has all the weight.
         """
         if len(self) < 2:
-            return _frozen(np.full(self.space.size, np.nan))
+            return handed_over(np.full(self.space.size, np.nan))
         if self.weights is None:
-            return _frozen(np.einsum("ij,ij->j", self.anomalies, self.anomalies) / (len(self) - 1))
+            return handed_over(np.einsum("ij,ij->j", self.anomalies, self.anomalies) / (len(self) - 1))
         rest = 1.0 - self.weights @ self.weights
         mean_square = np.einsum("i,ij,ij->j", self.weights, self.anomalies, self.anomalies)
-        return _frozen(mean_square / rest if rest > 1e-12 else np.zeros(self.space.size))
+        return handed_over(mean_square / rest if rest > 1e-12 else np.zeros(self.space.size))
 
     @cached_property
     def spread(self) -> Array:
         """Sample standard deviation (n,); NaN for a single member."""
-        return _frozen(np.sqrt(self.variance))
+        return handed_over(np.sqrt(self.variance))
 
     @property
     def effective_size(self) -> float:
@@ -140,7 +140,7 @@ class Ensemble:
             deviation = np.quantile(self.anomalies, probability, axis=0)
         else:
             deviation = np.quantile(self.anomalies, probability, axis=0, weights=self.weights, method="inverted_cdf")
-        return _frozen(self.space.retract(self.mean, deviation))
+        return handed_over(self.space.retract(self.mean, deviation))
 
     def average(self, values: Array) -> Array:
         """Return the mean (...) over the members of plain numbers ``values`` (N, ...), such as predicted readings."""

@@ -33,6 +33,8 @@ type Array = NDArray[np.float64]
 type IntArray = NDArray[np.int64]
 
 TWO_PI = 2.0 * np.pi
+UNBOUNDED = 1e70
+"""Numbers up to here are no reason to look closer where no variable says what is plausible."""
 
 
 class Kind(Enum):
@@ -118,6 +120,8 @@ class StateSpace:
         self._positive = [self._slices[v.name] for v in self.variables if v.kind is POSITIVE]
         self._angles = [self._slices[v.name] for v in self.variables if v.kind is ANGLE]
         self._bounded = [(self._slices[v.name], v.plausible) for v in self.variables if v.plausible < np.inf]
+        # No number is larger than the root of the sum of all squares: up to this sum none is beyond what is plausible.
+        self.plausible_squares = min([limit for _, limit in self._bounded], default=UNBOUNDED) ** 2
 
     def __repr__(self) -> str:
         listed = ", ".join(f"{v.name} ({v.size}, {v.kind.value})" for v in self.variables)
@@ -210,6 +214,12 @@ class StateSpace:
             largest = max(largest, float(ratio))
         return largest
 
+    def exceeds(self, members: Array, factor: float) -> bool:
+        """Return whether a number of the members (..., n) is more than ``factor`` times what is plausible."""
+        if not self._bounded or sum_of_squares(members) <= self.plausible_squares * factor**2:
+            return False
+        return self.excess(members) > factor
+
     def place_of(self, entry: int) -> str:
         """Return the variable, and the node where it has several, of entry ``entry`` of the state."""
         name = next(name for name, part in self._slices.items() if part.start <= entry < part.stop)
@@ -224,6 +234,12 @@ class StateSpace:
         scale = np.concatenate([np.full(v.size, v.plausible if self._bounded else 1.0) for v in self.variables])
         member, entry = np.unravel_index(np.argmax(np.abs(members) / scale), members.shape)
         return int(member), int(entry)
+
+
+def sum_of_squares(values: Array) -> float:
+    """Return the sum of the squares of all numbers, whatever their shape; infinite or NaN where one of them is."""
+    flat = values.ravel(order="K")
+    return float(flat @ flat)
 
 
 def _average(values: Array, weights: Array | None) -> Array:

@@ -137,7 +137,8 @@ class _Run:
                 if perf_counter() - logged > LOG_SECONDS or done == study.cycles:
                     logged = perf_counter()
                     log.info("%s", sentence(cycle, scores))
-                bar.set_postfix_str(postfix(state, scores), refresh=False)
+                if not bar.disable:
+                    bar.set_postfix_str(postfix(state, scores), refresh=False)
                 bar.update()
                 if perf_counter() - self.noted > SUMMARY_SECONDS:
                     with self._writing():

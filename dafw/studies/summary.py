@@ -52,17 +52,13 @@ class Summary:
             self._seconds[phase] = self._seconds.get(phase, 0.0) + seconds
         for use, count in cycle.readings.counts.items():
             self._counts[use] = self._counts.get(use, 0) + count
-        if self.diverged_at is None and self._excess(cycle) > 1.0:
+        belief = cycle.state.belief.ensemble
+        if self.diverged_at is None and belief.space.exceeds(belief.members, 1.0):
             self.diverged_at = cycle.state.belief.ensemble.time
 
     def end(self, parts: Parts, state: State) -> None:
         """Note the parameters after the last cycle."""
         self._parameters = _parameters(parts, state)
-
-    @staticmethod
-    def _excess(cycle: Cycle) -> float:
-        belief = cycle.state.belief.ensemble
-        return belief.space.excess(belief.members)
 
     def warnings(self, cycle: Cycle, parts: Parts) -> Iterator[tuple[str, str]]:
         """Give what a user must know about a cycle, by what it is about: each kind is said once."""

@@ -9,7 +9,7 @@ import numpy as np
 from dafw.core.ensemble import Analysis, Ensemble, Forecast, Memory
 from dafw.core.errors import ConfigurationError, ContractError, DivergenceError
 from dafw.core.observation import Observation
-from dafw.core.plugin import Plugin, described, require_sense
+from dafw.core.plugin import Plugin, described
 from dafw.core.space import Array, StateSpace
 
 if TYPE_CHECKING:
@@ -127,8 +127,7 @@ class Filter(Plugin):
                 )
             if not isinstance(belief, Forecast):
                 raise ContractError(f"{self.label}: {what} must be a Forecast, got {type(belief).__name__}")
-            self.checked(belief.ensemble.members, forecast.members.shape, what)
-            require_sense(self, forecast.space, belief.ensemble.members)
+            self.checked_members(belief.ensemble.members, forecast.members.shape, what, forecast.space)
         return checked
 
     def _unchanged(self, forecast: Ensemble, memory: Memory | None) -> Analysis:
@@ -147,8 +146,8 @@ class Filter(Plugin):
         """Return the analysis with its members as float64 (N, n); raises ContractError or DivergenceError."""
         if not isinstance(analysis, Analysis):
             raise ContractError(f"{self.label}: expected an Analysis, got {type(analysis).__name__}")
-        members = self.checked(analysis.members, forecast.members.shape, "members after the analysis")
-        require_sense(self, forecast.space, members)
+        shape, what = forecast.members.shape, "members after the analysis"
+        members = self.checked_members(analysis.members, shape, what, forecast.space)
         self.checked_diagnostics(analysis.diagnostics)
         if analysis.weights is not None:
             try:

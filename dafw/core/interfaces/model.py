@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from dafw.core.domain import Domain
-from dafw.core.ensemble import Ensemble, Forecast, Memory, Step
+from dafw.core.ensemble import Ensemble, Forecast, Memory, Step, handed_over
 from dafw.core.errors import ConfigurationError
-from dafw.core.plugin import Plugin, require_sense
+from dafw.core.plugin import Plugin
 from dafw.core.rng import MemberStreams
 from dafw.core.sharing import Shared
 from dafw.core.space import Array, StateSpace
@@ -91,8 +91,7 @@ class Model(Plugin):
 
         Raises ContractError, and DivergenceError where numbers are far beyond what the model can produce.
         """
-        members = self.checked(step.members, ensemble.members.shape, "members after a step")
-        require_sense(self, self.space, members)
+        members = self.checked_members(step.members, ensemble.members.shape, "members after a step", self.space)
         self.checked_diagnostics(step.diagnostics)
-        stepped = Ensemble(members, self.space, ensemble.time + self.dt, ensemble.weights)
+        stepped = Ensemble(handed_over(members), self.space, ensemble.time + self.dt, ensemble.weights)
         return Forecast(stepped, step.memory, step.diagnostics)
