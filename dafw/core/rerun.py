@@ -108,6 +108,11 @@ class Rerun:
         stepped = self._executor.submit(self._model, batch)
         return lambda: self._replay(ensemble, first, last, stepped(), keep)
 
+    def settled(self, ensemble: Ensemble) -> Ensemble:
+        """Return an ensemble at the start with the fields that follow from its single numbers."""
+        members = self._model.settled(ensemble.members)
+        return ensemble.with_members(self._model.checked(members, ensemble.members.shape, "settled members"))
+
     def _replay(self, ensemble: Ensemble, first: int, last: int, stepped: Stepped, keep: bool) -> Replay:
         """Check and wrap what the executor gave."""
         times = [ensemble.time]

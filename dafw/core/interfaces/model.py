@@ -41,6 +41,13 @@ class Model(Plugin):
         """Return the members (N, n) at t + dt, model error included."""
         raise NotImplementedError(f"{self.label} must define step(members, t, rng)")
 
+    def settled(self, members: Array) -> Array:
+        """Return members (N, n) at the start whose fields are those that follow from their single numbers.
+
+        A filter that moves the place of a release asks for the cloud that goes with it. Default: nothing follows.
+        """
+        return members
+
     def notes(self) -> list[str]:
         """Return sentences for the log about what the model was made of."""
         return []

@@ -29,5 +29,6 @@ class ESMDA(Filter):
             missed = missed + rng.standard_normal(missed.shape)
             weights = np.linalg.solve(seen @ seen.T + (len(seen) - 1) * np.eye(len(seen)), guess.anomalies)
             guess = guess.with_members(guess.space.retract(guess.members, missed @ seen.T @ weights))
+            guess = window.rerun.settled(guess)  # the cloud that goes with a release that was moved, say
         now = window.replay(guess).forecast
         return Analysis(now.ensemble.members, window.memory, model_memory=now.memory)

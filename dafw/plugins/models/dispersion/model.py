@@ -27,13 +27,14 @@ from dafw.core.interfaces import Model
 from dafw.core.options import option
 from dafw.core.rng import MemberStreams
 from dafw.core.sharing import Shared
-from dafw.core.space import ANGLE, NONNEGATIVE, Array, StateSpace, Variable
+from dafw.core.space import NONNEGATIVE, Array, StateSpace, Variable
 from dafw.plugins.models.dispersion.mesh.options import MeshOptions
 from dafw.plugins.models.dispersion.mesh.partition import Partition, Undivided
 from dafw.plugins.models.dispersion.mesh.tagged import TaggedMesh
-from dafw.plugins.models.dispersion.plausible import largest_concentration, strongest_wind
+from dafw.plugins.models.dispersion.plausible import largest_concentration
 from dafw.plugins.models.dispersion.site.options import SiteOptions
 from dafw.plugins.models.dispersion.transport.options import TransportOptions
+from dafw.plugins.models.dispersion.unknowns import unknowns
 
 if TYPE_CHECKING:
     from dafw.plugins.models.dispersion.site.site import Site
@@ -61,6 +62,11 @@ class AdvectionDiffusion(Model):
     )
     noise: float = option(0.0, "standard deviation of the noise before a step, relative to the value", minimum=0.0)
     cutoff: float = option(1e-6, "with noise: concentrations up to this are set to zero before a step")
+    estimate: list[str] = option(
+        [], "what else is unknown and part of the state: diffusion, release_x, release_y, amount"
+    )
+    priors: dict[str, Any] = option({}, "priors of unknowns, by their name, in place of the usual ones")
+    certain: bool = option(False, "every unknown has the value that the options give: for truths and free runs")
 
     # for a member, what defines its wind and its TransportSystem
     _systems: dict[int, tuple[Array, Any]] = field(default_factory=dict, init=False, repr=False)
@@ -76,14 +82,9 @@ class AdvectionDiffusion(Model):
         return {"site": site, "mesh": mesh, **cloud, "wind_speed_sd": 0.5, "wind_direction_sd": 0.5}
 
     def __post_init__(self) -> None:
+        self._unknown = unknowns(self)
         if len(self.release) != 2:
             raise ConfigurationError(f"the release must be one place [x, y] in metres, got {self.release}")
-        mean, sd = self.wind_speed, self.wind_speed_sd
-        if sd > 0.0 and not 1e-3 * mean <= sd <= 1e3 * mean:
-            raise ConfigurationError(
-                f"wind_speed_sd must be 0 or between a thousandth of wind_speed and a thousand times it (a Weibull "
-                f"distribution has that mean), got {sd:g} with a mean of {mean:g} m/s"
-            )
 
     @cached_property
     def place(self) -> Site:
@@ -149,15 +150,14 @@ class AdvectionDiffusion(Model):
 
     @cached_property
     def space(self) -> StateSpace:  # type: ignore[override]  # made when first asked for
-        """Concentration, wind speed, wind direction."""
+        """Concentration, wind speed, wind direction, and whatever else is estimated."""
         nodes = self._topology[0]
+        # An unknown amount may be many times the one that the options state.
+        largest = largest_concentration(self.noise) * (100.0 if "amount" in self.estimate else 1.0)
         return StateSpace(
             [
-                Variable("concentration", len(nodes), NONNEGATIVE, "1", nodes, "", largest_concentration(self.noise)),
-                Variable(
-                    "wind_speed", 1, NONNEGATIVE, "m s-1", plausible=strongest_wind(self.wind_speed, self.wind_speed_sd)
-                ),
-                Variable("wind_direction", 1, ANGLE, "rad"),
+                Variable("concentration", len(nodes), NONNEGATIVE, "1", nodes, "", largest),
+                *(Variable(one.name, 1, one.kind, one.units, plausible=one.plausible) for one in self._unknown),
             ]
         )
 
@@ -186,18 +186,27 @@ class AdvectionDiffusion(Model):
         return [*self.place.report_lines(), size + divided]
 
     def initial(self, n_members: int, rng: MemberStreams) -> Array:
-        """Return the released bell, the same in all members, with winds drawn from the first guess."""
-        from dafw.plugins.models.dispersion.first_guess import draw_direction, draw_speed
-
-        nodes = self._topology[0]
-        bell = np.exp(-((nodes - self.release) ** 2).sum(axis=1) / (2.0 * self.release_radius**2))
+        """Return released bells, with the wind and whatever else is estimated drawn from the first guess."""
+        nothing = np.zeros(self.space["concentration"].size)
 
         def one(generator: np.random.Generator) -> Array:
-            speed = draw_speed(self.wind_speed, self.wind_speed_sd, generator)
-            direction = draw_direction(self.wind_direction, self.wind_direction_sd, generator)
-            return self.space.pack({"concentration": bell, "wind_speed": speed, "wind_direction": direction})
+            drawn = {one.name: one.prior.draw(generator) for one in self._unknown}
+            return self.space.pack({"concentration": nothing, **drawn})
 
-        return rng.draw(n_members, one)
+        return self.settled(rng.draw(n_members, one))
+
+    def settled(self, members: Array) -> Array:
+        """Return the members (N, n) with the bells that follow from place and amount of their releases."""
+        settled = members.copy()
+        state = self.space.unpack(settled)
+        nodes = self._topology[0]
+        x = state["release_x"] if "release_x" in state else self.release[0]
+        y = state["release_y"] if "release_y" in state else self.release[1]
+        off = (nodes[:, 0] - x) ** 2 + (nodes[:, 1] - y) ** 2
+        state["concentration"][:] = np.exp(-off / (2.0 * self.release_radius**2))
+        if "amount" in state:
+            state["concentration"][:] *= state["amount"]
+        return settled
 
     def step_with_memory(self, members: Array, memory: Memory | None, t: float, rng: MemberStreams) -> Step:
         """Return the members a step later: noise, cut-off, wind, transport."""
@@ -211,9 +220,12 @@ class AdvectionDiffusion(Model):
             # Ranks on other kinds of processors may have rounded differently; all continue with the numbers of rank 0.
             self._communicator.Bcast(stepped)
         winds, memory, diagnostics = self.winds(state["wind_speed"][:, 0], state["wind_direction"][:, 0], memory, t)
+        diffusion = (
+            state["diffusion"][:, 0] if "diffusion" in state else np.full(len(members), self.transport.diffusion)
+        )
         for member, wind in enumerate(winds):
             with about_member(member):
-                local = self._system(member, wind).step(self._nodes.local(concentration[member]))
+                local = self._system(member, wind, diffusion[member]).step(self._nodes.local(concentration[member]))
                 concentration[member] = self._nodes.gather(local)
         # Galerkin's scheme may undershoot zero; the filter's retraction puts that right.
         return Step(stepped, memory, diagnostics)
@@ -236,24 +248,25 @@ class AdvectionDiffusion(Model):
         speed, direction = wind
         return self._transport.uniform_velocity(speed, direction)
 
-    def _system(self, member: int, wind: Array) -> TransportSystem:
-        """Return the member's system of a step, which is kept as long as the bits of its wind stay the same.
+    def _system(self, member: int, wind: Array, diffusion: float) -> TransportSystem:
+        """Return the member's system of a step, which is kept as long as the bits of wind and diffusion stay the same.
 
         If there are more members than systems are kept, the other members share one that is made anew for each. A whole
         run of ten members takes 14 % longer if only one is kept.
         """
         slot = min(member, self._transport.systems_kept)
-        kept = self._systems.get(slot)
-        if kept is None or not np.array_equal(kept[0], wind):
+        kept, key = self._systems.get(slot), np.append(wind, diffusion)
+        if kept is None or not np.array_equal(kept[0], key):
             self._systems.pop(slot, None)  # it is overwritten now, and no longer valid even if that fails
-            self._systems[slot] = kept = (wind.copy(), self.system(wind, kept[1] if kept else None))
+            self._systems[slot] = kept = (key, self.system(wind, diffusion, kept[1] if kept else None))
         return kept[1]
 
-    def system(self, wind: Array, reuse: TransportSystem | None = None) -> TransportSystem:
+    def system(self, wind: Array, diffusion: float, reuse: TransportSystem | None = None) -> TransportSystem:
         """Return the system of a step in the wind of one member.
 
         Args:
             wind: (k,) a row of ``winds``.
+            diffusion: coefficient in m^2/s.
             reuse: a system that is no longer needed; it may be overwritten and returned.
         """
-        return self._transport.system(self.velocity(wind), reuse)
+        return self._transport.system(self.velocity(wind), reuse, diffusion=diffusion)

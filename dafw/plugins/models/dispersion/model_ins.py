@@ -176,9 +176,9 @@ class AdvectionDiffusionINS(AdvectionDiffusion):
         name = ("reduced advection", self.tagged_mesh, repr(self.wind))
         return self._shared.once(name, lambda: ReducedAdvection(self._transport, solver))
 
-    def system(self, wind: Array, reuse: TransportSystem | None = None) -> TransportSystem:
+    def system(self, wind: Array, diffusion: float, reuse: TransportSystem | None = None) -> TransportSystem:
         """Return the system of a step in the wind of one member; the arguments are as above."""
         reduced = self._reduced_advection
         if reduced is None or not reduced.holds(wind[:-1]):
-            return super().system(wind, reuse)
-        return self._transport.system_of(reduced.matrix(wind[:-1], wind[-1]), reuse)
+            return super().system(wind, diffusion, reuse)
+        return self._transport.system_of(reduced.matrix(wind[:-1], wind[-1]), reuse, diffusion=diffusion)

@@ -20,8 +20,8 @@ ORDER = (
     "transport",
     "reduced_wind",
     "wind_solvers",
-    "first_guess",
     "plausible",
+    "unknowns",
     "model",
 )
 """Rooms and modules from the lowest on; nothing imports what stands after it."""

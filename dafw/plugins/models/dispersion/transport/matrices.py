@@ -34,6 +34,7 @@ class TransportMatrices:
         fixed_entries: indices of the entries in rows and columns of outer nodes.
         fixed_diagonal: indices of the diagonal entries of outer nodes.
         before: the SciPy matrix that acts on the old concentration, in a step without wind.
+        stiffness: (z,) CSR values of the stiffness matrix.
         calm: (z,) CSR values of the matrix that acts on the new concentration, in a step without wind.
     """
 
@@ -57,7 +58,8 @@ class TransportMatrices:
         self.fixed_entries = np.flatnonzero(fixed[rows] | self.sparsity.with_ghosts(fixed)[indices])
         self.fixed_diagonal = self.diagonal[self.outer]
         self.before = self.sparsity.csr(self.assemble(mass) / dt)
-        self.calm = self.before.data + options.diffusion * self.assemble(stiffness)
+        self.stiffness = self.assemble(stiffness)
+        self.calm = self.before.data + options.diffusion * self.stiffness
 
     def assemble(self, form: Any) -> np.ndarray:
         """Return the CSR values (z,) of a bilinear form of the space."""

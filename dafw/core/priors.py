@@ -1,0 +1,140 @@
+"""What is believed of a single number before anything was read: priors by name, to draw from and to weigh by.
+
+=============  ==============================================  =================================================
+name           parameters                                      density
+=============  ==============================================  =================================================
+``point``      mean                                            all at the mean: the number is known
+``normal``     mean, sd                                        Gaussian
+``uniform``    low, high                                       the same everywhere between
+``lognormal``  mean, sd                                        the logarithm is Gaussian about log(mean) with the
+                                                               standard deviation sd: mean is the median
+``weibull``    mean, sd                                        Weibull with this mean and standard deviation
+``angle``      mean, sd (radians)                              Gaussian, wrapped to [0, 2 pi)
+=============  ==============================================  =================================================
+
+Densities are those of the number itself; they need not be normalised across parameters that are fixed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from dafw.core.errors import ConfigurationError
+from dafw.core.space import TWO_PI, Array
+
+PARAMETERS = {
+    "point": ("mean",),
+    "normal": ("mean", "sd"),
+    "uniform": ("low", "high"),
+    "lognormal": ("mean", "sd"),
+    "weibull": ("mean", "sd"),
+    "angle": ("mean", "sd"),
+}
+WRAPS = np.arange(-3, 4)
+"""Turns that count for the density of a wrapped normal distribution."""
+
+
+@dataclass(frozen=True)
+class Prior:
+    """One distribution; ``parameters`` by name as in the table above. Raises ConfigurationError for others."""
+
+    name: str
+    parameters: Mapping[str, float]
+
+    def __post_init__(self) -> None:
+        if self.name not in PARAMETERS:
+            raise ConfigurationError(f"there is no prior '{self.name}' (there are: {', '.join(PARAMETERS)})")
+        wanted = PARAMETERS[self.name]
+        if set(self.parameters) != set(wanted):
+            raise ConfigurationError(
+                f"prior '{self.name}' takes {' and '.join(wanted)}, got {', '.join(self.parameters) or 'nothing'}"
+            )
+        for key, value in self.parameters.items():
+            if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+                raise ConfigurationError(f"prior '{self.name}': {key} must be a finite number, got {value!r}")
+        if self.name == "uniform" and not self["low"] < self["high"]:
+            raise ConfigurationError(f"prior 'uniform': low must be below high, got {self['low']} and {self['high']}")
+        if "sd" in wanted and not self["sd"] > 0.0:
+            raise ConfigurationError(f"prior '{self.name}': sd must be above 0, got {self['sd']}; 'point' has none")
+        if self.name in ("lognormal", "weibull") and not self["mean"] > 0.0:
+            raise ConfigurationError(f"prior '{self.name}': mean must be above 0, got {self['mean']}")
+
+    @classmethod
+    def of(cls, config: Mapping[str, Any], what: str) -> Prior:
+        """Make a prior from a mapping with its ``name`` and parameters; errors say ``what`` it is of."""
+        options = dict(config)
+        try:
+            return cls(str(options.pop("name", "")), options)
+        except ConfigurationError as error:
+            raise ConfigurationError(f"{what}: {error}") from error
+
+    def __getitem__(self, key: str) -> float:
+        return float(self.parameters[key])
+
+    @cached_property
+    def _weibull(self) -> tuple[float, float]:
+        return weibull_parameters(self["mean"], self["sd"])
+
+    def draw(self, generator: np.random.Generator) -> float:
+        """Return one number."""
+        match self.name:
+            case "point":
+                return self["mean"]
+            case "normal":
+                return self["mean"] + self["sd"] * float(generator.standard_normal())
+            case "uniform":
+                return self["low"] + (self["high"] - self["low"]) * float(generator.random())
+            case "lognormal":
+                return self["mean"] * float(np.exp(self["sd"] * generator.standard_normal()))
+            case "weibull":
+                shape, scale = self._weibull
+                return float(scale * generator.weibull(shape))
+            case _:
+                reduced = float(np.mod(self["mean"] + self["sd"] * generator.standard_normal(), TWO_PI))
+                return 0.0 if reduced >= TWO_PI else reduced
+
+    def log_density(self, x: Array) -> Array:
+        """Return the log density at each of ``x`` (...): minus infinity where there is none, 0 for a point."""
+        x = np.asarray(x, dtype=np.float64)
+        match self.name:
+            case "point":
+                return np.zeros_like(x)
+            case "normal":
+                return _log_normal(x, self["mean"], self["sd"])
+            case "uniform":
+                inside = (self["low"] <= x) & (x <= self["high"])
+                return np.where(inside, -np.log(self["high"] - self["low"]), -np.inf)
+            case "lognormal":
+                safe = np.where(x > 0.0, x, 1.0)
+                density = _log_normal(np.log(safe), np.log(self["mean"]), self["sd"]) - np.log(safe)
+                return np.where(x > 0.0, density, -np.inf)
+            case "weibull":
+                shape, scale = self._weibull
+                safe = np.where(x > 0.0, x, 1.0) / scale
+                density = np.log(shape / scale) + (shape - 1.0) * np.log(safe) - safe**shape
+                return np.where(x > 0.0, density, -np.inf)
+            case _:
+                turned = x[..., np.newaxis] + TWO_PI * WRAPS
+                return np.asarray(np.logaddexp.reduce(_log_normal(turned, self["mean"], self["sd"]), axis=-1))
+
+
+def _log_normal(x: Array, mean: float, sd: float) -> Array:
+    return np.asarray(-0.5 * ((x - mean) / sd) ** 2 - np.log(sd * np.sqrt(TWO_PI)))
+
+
+def weibull_parameters(mean: float, sd: float) -> tuple[float, float]:
+    """Return the shape k and the scale lambda of the Weibull distribution with a given mean and standard deviation.
+
+    k solves Gamma(1 + 2/k) / Gamma(1 + 1/k)^2 = 1 + (sd / mean)^2; the left side decreases with k.
+    """
+    from scipy.optimize import brentq
+    from scipy.special import gamma, gammaln
+
+    wanted = np.log1p((sd / mean) ** 2)
+    shape = brentq(lambda k: gammaln(1 + 2 / k) - 2 * gammaln(1 + 1 / k) - wanted, 0.05, 1e4, xtol=1e-13, rtol=1e-13)
+    return float(shape), float(mean / gamma(1 + 1 / shape))

@@ -1,0 +1,75 @@
+"""Priors: draws have the density that is stated."""
+
+import numpy as np
+import pytest
+from scipy import stats
+from scipy.integrate import quad
+
+from dafw import ConfigurationError
+from dafw.core.priors import Prior, weibull_parameters
+
+PRIORS = [
+    Prior("normal", {"mean": 2.0, "sd": 0.5}),
+    Prior("uniform", {"low": -1.0, "high": 3.0}),
+    Prior("lognormal", {"mean": 0.4, "sd": 0.8}),
+    Prior("weibull", {"mean": 2.5, "sd": 3.0}),
+    Prior("angle", {"mean": 6.0, "sd": 0.7}),
+]
+
+
+def limits(prior):
+    return (0.0, 2.0 * np.pi) if prior.name == "angle" else (1e-12 if prior.name in ("weibull",) else -40.0, 60.0)
+
+
+@pytest.mark.parametrize("prior", PRIORS, ids=lambda prior: prior.name)
+def test_densities_add_up_to_one(prior):
+    low, high = limits(prior)
+    total, _ = quad(lambda x: float(np.exp(prior.log_density(x))), low, high, limit=400, points=[-1.0, 0.4, 3.0])
+    assert total == pytest.approx(1.0, abs=2e-4)
+
+
+@pytest.mark.parametrize("prior", PRIORS, ids=lambda prior: prior.name)
+def test_draws_follow_the_density(prior):
+    rng = np.random.default_rng(2)
+    draws = np.array([prior.draw(rng) for _ in range(4000)])
+    low, high = limits(prior)
+    edges = np.quantile(draws, np.linspace(0.0, 1.0, 9)[1:-1])
+    grid = np.linspace(max(low, draws.min() - 1.0), min(high, draws.max() + 1.0), 200_001)
+    cumulative = np.cumsum(np.exp(prior.log_density(grid))) * (grid[1] - grid[0])
+    expected = np.interp(edges, grid, cumulative)
+    # the largest distance of two distribution functions; Kolmogorov's bound at one in a million
+    assert np.abs(expected - np.linspace(0.0, 1.0, 9)[1:-1]).max() < np.sqrt(np.log(2e6) / (2 * 4000)) + 2e-3
+
+
+def test_the_weibull_has_the_moments_that_are_asked_for():
+    shape, scale = weibull_parameters(2.5, 3.0)
+    frozen = stats.weibull_min(shape, scale=scale)
+    assert (frozen.mean(), frozen.std()) == pytest.approx((2.5, 3.0))
+
+
+def test_a_point_is_known():
+    prior = Prior("point", {"mean": 0.8})
+    assert prior.draw(np.random.default_rng(0)) == 0.8 and prior.log_density(np.array([0.8])).tolist() == [0.0]
+
+
+def test_what_cannot_be_has_no_density():
+    assert Prior("lognormal", {"mean": 1.0, "sd": 1.0}).log_density(np.array([-1.0, 0.0])).tolist() == [-np.inf] * 2
+    assert Prior("uniform", {"low": 0.0, "high": 1.0}).log_density(np.array([1.1])).tolist() == [-np.inf]
+
+
+@pytest.mark.parametrize(
+    ("config", "message"),
+    [
+        ({"name": "gaussian", "mean": 1.0}, "diffusion: there is no prior 'gaussian' .there are: point, normal"),
+        ({"mean": 1.0}, "there is no prior ''"),
+        ({"name": "normal", "mean": 1.0}, "prior 'normal' takes mean and sd, got mean"),
+        ({"name": "normal", "mean": 1.0, "sd": 0.0}, "sd must be above 0, got 0.0; 'point' has none"),
+        ({"name": "normal", "mean": float("nan"), "sd": 1.0}, "mean must be a finite number, got nan"),
+        ({"name": "normal", "mean": "x", "sd": 1.0}, "mean must be a finite number, got 'x'"),
+        ({"name": "uniform", "low": 2.0, "high": 1.0}, "low must be below high"),
+        ({"name": "weibull", "mean": 0.0, "sd": 1.0}, "mean must be above 0"),
+    ],
+)
+def test_a_wrong_prior_is_refused(config, message):
+    with pytest.raises(ConfigurationError, match=message):
+        Prior.of(config, "diffusion")
