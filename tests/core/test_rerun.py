@@ -126,6 +126,22 @@ def test_a_re_run_that_means_nothing_is_refused(first, last, operators, message)
         parts.rerun(states[0].belief, first, last, operators=operators)
 
 
+class Filling(Growth):
+    """Its gas at the start is ten times the rate."""
+
+    def settled(self, members):
+        settled = members.copy()
+        settled[:, :4] = 10.0 * members[:, 4:]
+        return settled
+
+
+def test_fields_at_the_start_follow_from_single_numbers_where_the_model_says_so():
+    moved = flown(0)[1][0].belief.ensemble.with_members(np.arange(10.0).reshape(2, 5))
+    plain, filling = (flown(0, model=model)[0].rerun.settled(moved) for model in (Growth(), Filling()))
+    np.testing.assert_array_equal(plain.members, moved.members)
+    np.testing.assert_array_equal(filling.members[:, :4], np.repeat(10.0 * moved.members[:, 4:], 4, axis=1))
+
+
 # In worker processes
 
 
