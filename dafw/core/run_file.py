@@ -227,7 +227,7 @@ class RunFile:
         first, last = self._written, self._written + len(rows)
         for name in dict.fromkeys(name for row in rows for name in row):
             fill = self._fills[name]
-            block = _block([np.asarray(row.get(name, fill)) for row in rows], fill)
+            block = _block([row.get(name, fill) for row in rows], fill)
             if block.size:
                 self._file.variables[name][(slice(first, last), *map(slice, block.shape[1:]))] = block
         self._written = last
@@ -252,10 +252,12 @@ class RunFile:
         self._file.close()
 
 
-def _block(rows: list[Any], fill: Any) -> Any:
+def _block(values: list[Any], fill: Any) -> Any:
     """Return rows of different lengths as one array, padded with ``fill``; a row that is missing is one ``fill``."""
-    if len({row.shape for row in rows}) == 1:
-        return np.array(rows, dtype=fill.dtype)
+    try:
+        return np.array(values, dtype=fill.dtype)
+    except ValueError:  # they are of different lengths
+        rows = [np.asarray(value) for value in values]
     deepest = max(row.ndim for row in rows)
     lengths = np.max([row.shape for row in rows if row.ndim == deepest], axis=0)
     block: Any = np.full((len(rows), *lengths), fill)
