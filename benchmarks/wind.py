@@ -161,12 +161,12 @@ def reduced_over_newton(short: bool) -> Measurement:
 
 def draws(count: int, strongest: float) -> list[tuple[float, float]]:
     """Return winds as the paper's first guess draws their speed, up to the strongest, from anywhere."""
-    from dafw.plugins.models.dispersion.first_guess import draw_speed
+    from dafw.core.priors import Prior
 
-    rng = np.random.default_rng(SEED)
+    speeds, rng = Prior("weibull", {"mean": 2.5, "sd": 3.0}), np.random.default_rng(SEED)
     found: list[tuple[float, float]] = []
     while len(found) < count:
-        speed = float(draw_speed(2.5, 3.0, rng))
+        speed = speeds.draw(rng)
         if speed <= strongest:
             found.append((speed, float(rng.uniform(0.0, 2.0 * np.pi))))
     return found
