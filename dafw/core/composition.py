@@ -31,7 +31,7 @@ from dafw.core.experiment import StudyOptions
 from dafw.core.options import schema, unknown_option
 from dafw.core.registry import KINDS, registry
 
-# Launchers and sweepers that are installed as Hydra plugins, and the plain handlers of logging: nothing else by name.
+# Names that Hydra may instantiate: launchers and sweepers installed as Hydra plugins, and logging's plain handlers.
 HARMLESS = re.compile(
     r"hydra\._internal\.core_plugins\.basic_(launcher|sweeper)\.Basic(Launcher|Sweeper)"
     r"|hydra_plugins\.\w+\.\w+\.\w+(Launcher|Sweeper)"
@@ -59,7 +59,7 @@ def register_schemas() -> None:
 
 
 def _node(kind: str, name: str) -> Any:
-    """Return what Hydra composes for a plugin; raises PluginError where its options cannot be composed."""
+    """Return the schema that Hydra composes for a plugin; raises PluginError if its options cannot be composed."""
     try:
         return OmegaConf.structured(registry().schema(kind, name))
     except OmegaConfBaseException as error:
@@ -80,9 +80,9 @@ def study_hydra(more: Path | None = None) -> Hydra:
 def compose(
     overrides: Sequence[str], more: Path | None = None, name: str = "config", hydra: Hydra | None = None
 ) -> DictConfig:
-    """Compose a study with Hydra's own part under ``hydra``; raises ConfigurationError in one line.
+    """Compose a study with Hydra's own part under ``hydra``; raises ConfigurationError with a one-line message.
 
-    Who composes many hands in the same ``hydra`` of ``study_hydra(more)`` each time.
+    To compose many studies, pass the same ``hydra``, made by ``study_hydra(more)``, each time: making it is slow.
     """
     hydra = hydra or study_hydra(more)
     try:
@@ -121,7 +121,7 @@ def single_runs(overrides: Sequence[str]) -> Iterator[list[str]]:
 
 
 def refuse_code(config: DictConfig) -> None:
-    """Raise ConfigurationError where the configuration would have something called by its dotted name."""
+    """Raise ConfigurationError if the configuration would make Hydra or logging call something by its dotted name."""
     container = OmegaConf.to_container(config, resolve=False)
     for path, key, value in _entries(container, ""):
         names_code = key in ("_target_", "()") or (key == "class" and "_logging." in path)
@@ -143,7 +143,7 @@ def _entries(node: Any, path: str) -> Iterator[tuple[str, str, Any]]:
 def advised(
     error: ConfigurationError, overrides: Sequence[str], more: Path | None = None, name: str = "config"
 ) -> ConfigurationError:
-    """Return the error; where another model than the experiment's was chosen, with the experiments that have it."""
+    """Return the error. If the model is not the experiment's own, name the experiments that use that model."""
     hydra = study_hydra(more)
 
     def model(*words: str) -> str | None:
@@ -212,7 +212,7 @@ def _place(key: str, node: Any) -> str:
 
 
 def _unknown_choice(group: str, name: str, there_are: Sequence[str] | None) -> str:
-    """Say what there is instead: of plugins by the registry, of the rest by Hydra, whoever shipped it."""
+    """Return a message that lists the available choices: plugins from the registry, everything else from Hydra."""
     if group in KINDS:
         try:
             _node(group, name)

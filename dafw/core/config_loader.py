@@ -2,13 +2,14 @@
 
 An experiment chooses ``policy: enie2d`` and says ``policy: {sectors: 8}``. Where the policy is exchanged, on the
 command line or by an experiment that builds on this one, ``sectors`` leaves with ``enie2d``: the other policy starts
-from its own defaults. So each file of a composition is asked, kind by kind, which plugin it means:
+from its own defaults. So for each file of a composition and each kind, this module finds the plugin that the file's
+options are for:
 
-- the one that it chooses itself, or that the files choose on which it builds;
-- or else the one that is meant by the file which includes it, up to the primary configuration.
+- the plugin that the file chooses itself, or that a file it includes chooses;
+- otherwise the plugin that the including file's options are for, and so on up to the primary configuration.
 
-Its options for a kind are taken where the study ends up with that plugin, from whichever preset. ``truth`` and ``free``
-hold options of a model: of the one that they name, or else of the study's.
+A file's options for a kind are used only if the study ends up with that plugin, by whatever preset. ``truth`` and
+``free`` hold options of a model: of the model that they name, otherwise of the study's model.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ ROLES = ("truth", "free")
 
 
 class StudyLoader(ConfigLoaderImpl):
-    """Composes a study. Whatever Hydra does (a run, the jobs of a multirun, ``--cfg``) asks it to."""
+    """Composes a study. Hydra calls it for everything it does: a run, the jobs of a multirun, ``--cfg``."""
 
     _multirun = False
     _appended: Container[str] = ()
@@ -51,7 +52,7 @@ class StudyLoader(ConfigLoaderImpl):
         validate_sweep_overrides: bool = True,
     ) -> DictConfig:
         """Compose a configuration; raises Hydra's and OmegaConf's exceptions."""
-        one = copy.copy(self)  # what is found out on the way belongs to this composition alone
+        one = copy.copy(self)  # state found while composing must not leak into the next composition
         one._multirun = run_mode == RunMode.MULTIRUN
         arguments = (config_name, overrides, run_mode, from_shell, validate_sweep_overrides)
         return super(StudyLoader, one).load_configuration(*arguments)
@@ -61,7 +62,7 @@ class StudyLoader(ConfigLoaderImpl):
     ) -> tuple[list[Override], CachingConfigRepository]:
         parsed, repo = super()._parse_overrides_and_create_caching_repo(config_name, overrides)
         for override in parsed:
-            # Before the jobs of a multirun Hydra composes them all at once: let that be as the first of them.
+            # Before a multirun starts, Hydra composes once with all its values together: use the first job's values.
             swept = override.value() if self._multirun and repo.group_exists(override.key_or_group) else None
             if isinstance(swept, ChoiceSweep) and swept.list:
                 override.value_type, override._value = ValueType.ELEMENT, swept.list[0]
@@ -70,7 +71,7 @@ class StudyLoader(ConfigLoaderImpl):
         self._named_roles = {
             role: str(change.value()) for change in fixed for role in ROLES if change.key_or_group == f"{role}.name"
         }
-        for override in parsed:  # `+` may stand before what is there already
+        for override in parsed:  # accept `+` also before a key that exists
             if override.is_add() and not repo.group_exists(override.key_or_group):
                 override.type = OverrideType.FORCE_ADD
         return parsed, repo
@@ -96,7 +97,7 @@ class StudyLoader(ConfigLoaderImpl):
 
 
 def _open_mappings(node: Any) -> None:
-    """Let options that are mappings, and ``truth`` and ``free``, take keys which they do not have yet."""
+    """Let options that are mappings, and ``truth`` and ``free``, accept new keys."""
     if not isinstance(node, DictConfig) or node._is_interpolation():
         return
     made_of, declared = OmegaConf.get_type(node), typing.get_origin(node._metadata.ref_type)
@@ -108,7 +109,7 @@ def _open_mappings(node: Any) -> None:
 
 
 class _Files:
-    """The files of one composition, and the plugins that they mean."""
+    """The files of one composition, and the plugins that their options are for."""
 
     def __init__(self, defaults: Sequence[ResultDefault], repo: IConfigRepository, appended: Container[str]) -> None:
         self.repo, self.appended = repo, appended
@@ -116,7 +117,7 @@ class _Files:
         self.packages = {str(default.config_path): default.package for default in defaults}
 
     def foreign(self, named_roles: Mapping[str, str]) -> dict[str, set[str]]:
-        """Return, by file, its keys with options of a plugin that this study does not have.
+        """Return for each file the keys whose options are for a plugin that this study does not use.
 
         ``named_roles`` holds the models of the truth and the free run that the command line names.
         """
@@ -142,7 +143,7 @@ class _Files:
         return loaded.config if loaded is not None and isinstance(loaded.config, DictConfig) else DictConfig({})
 
     def _meant(self, file: str, key: str) -> str | None:
-        """Return the plugin that a file's options are for; None where one cannot tell."""
+        """Return the plugin that a file's options are for; None if that cannot be determined."""
         while file in self.parents:
             found = self._choice(file, key) or (self._choice(file, "model") if key in ROLES else None)
             if found or file in self.appended:
@@ -151,7 +152,7 @@ class _Files:
         return None
 
     def _choice(self, file: str, key: str) -> str | None:
-        """Return the plugin that a file chooses, itself or by the files that it includes, of which the last counts."""
+        """Return the plugin that a file chooses, itself or through the files it includes; the last choice counts."""
         if key in ROLES and (name := self._named(file, key)):
             return name
         loaded = self.repo.load_config(file)

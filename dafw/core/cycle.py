@@ -42,9 +42,10 @@ PHASES = ("decide", "forecast", "truth", "free", "observe", "analyse", "record")
 class Parts:
     """What a study is composed of. ``truth`` and ``free`` are models that may be absent.
 
-    ``truth_view`` says how the truth is seen in the belief's state space, None where it is the same one.
-    ``late_readings`` says what becomes of a late reading that no window of the filter reaches: ``use`` it as if it
-    were of now, or ``drop`` it. ``executor`` steps the members of the belief; truth and free run are stepped here.
+    ``truth_view`` maps the truth to the belief's state space; None if both spaces are the same.
+    ``late_readings`` says what to do with a late reading that is older than the filter's window: ``use`` it as if it
+    were taken now, or ``drop`` it. ``executor`` steps the members of the belief; truth and free run are stepped in
+    this process.
     """
 
     model: Model
@@ -88,10 +89,10 @@ class State:
 
 @dataclass(frozen=True)
 class Cycle:
-    """One finished cycle: the state after it, and how it came about.
+    """One finished cycle: the state after it, and the intermediate results.
 
-    ``truth`` is the truth after it as seen in the belief's state space. ``readings`` are sorted by the cycle that they
-    belong to; ``predicted`` (N, m) are the forecast's of those that were used at the end of this cycle.
+    ``truth`` is the truth after the cycle, in the belief's state space. ``readings`` are sorted by the cycle that they
+    belong to. ``predicted`` (N, m) is what the forecast predicts for the readings used at the end of this cycle.
     """
 
     state: State
@@ -118,7 +119,7 @@ class Cycle:
 
 @dataclass
 class _Clock:
-    """Times the phases of a cycle and says in which one something went wrong."""
+    """Times the phases of a cycle and adds the phase to errors raised in it."""
 
     time: float
     seconds: dict[str, float] = field(default_factory=dict)
@@ -183,7 +184,7 @@ def advance(parts: Parts, state: State) -> Cycle:
     with clock.phase("forecast", parts.model):
         errors = streams.members(MODEL_ERROR, cycle)
         stepped = parts.executor.submit(parts.model, Batch(belief.ensemble.members, belief.memory, now, errors))
-    # While workers are at it, this process has the truth and the free run.
+    # While the workers step the belief, this process steps the truth and the free run.
     if parts.truth is not None and truth is not None:
         with clock.phase("truth", parts.truth):
             truth = parts.truth.forecast(truth.ensemble, truth.memory, streams.members("truth error", cycle))
@@ -247,7 +248,7 @@ def _with_late(past: tuple[PastCycle, ...], late: Sequence[tuple[int, Observatio
 
 
 def _kept(filter_: Filter, past: Sequence[PastCycle], analysis: Analysis) -> tuple[PastCycle, ...]:
-    """Return what the next cycle's window needs of this one's: revised beliefs, and no more cycles than it asks for."""
+    """Return the past for the next window: with beliefs as revised, and only as many cycles as the filter asks for."""
     if filter_.window is not None:
         past = past[max(0, len(past) - (filter_.window - 1)) :]
     kept = []

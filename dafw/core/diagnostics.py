@@ -56,8 +56,8 @@ def innovation_scores(observation: Observation, forecast: Ensemble, predicted: A
     """Return ``INNOVATION``: mean and root mean square of the normalised innovations; NaN without readings.
 
     An innovation y - mean(H x) is divided by the standard deviation that the forecast expects it to have, the root of
-    its predicted variance plus that of R. ``predicted`` (N, m) has the ``mean`` (m,). Where the belief is honest, the
-    mean is near 0 and the root mean square near 1.
+    its predicted variance plus that of R. ``mean`` (m,) is the mean of ``predicted`` (N, m). If the spread of the
+    belief matches its error, the mean is near 0 and the root mean square near 1.
     """
     if observation.values.size == 0:
         return dict.fromkeys(INNOVATION, float("nan"))

@@ -1,4 +1,4 @@
-"""Where things are: a rectangle with obstacles, as vehicles, observers, records and pictures need it."""
+"""The domain of a model: a rectangle with obstacles, used by vehicles, observers, records and pictures."""
 
 from __future__ import annotations
 
@@ -41,21 +41,21 @@ class Domain:
         return lowest, highest
 
     def contains(self, point: Array) -> bool:
-        """Say whether a point (2,) lies inside the rectangle, its rim included."""
+        """Return whether a point (2,) lies inside the rectangle or on its edge."""
         x_min, y_min, x_max, y_max = self.bounds
         return bool(x_min <= point[0] <= x_max and y_min <= point[1] <= y_max)
 
     def is_free(self, start: Array, end: Array) -> bool:
-        """Say whether the segment from ``start`` (2,) to ``end`` (2,) stays inside and touches no obstacle."""
+        """Return whether the segment from ``start`` (2,) to ``end`` (2,) stays inside and touches no obstacle."""
         if not (self.contains(start) and self.contains(end)):
             return False
         lowest, highest = self._boxes
-        # Most legs are far from everything, and shapely need not be asked.
+        # Most segments are far from all obstacles; the bounding boxes show that without a call of shapely.
         near = ((lowest <= np.maximum(start, end)) & (highest >= np.minimum(start, end))).all(axis=1)
         return not (near.any() and self._touches(near, start, end))
 
     def _touches(self, near: NDArray[np.bool_], start: Array, end: Array) -> bool:
-        """Say whether the segment touches one of the obstacles that are ``near`` (K,)."""
+        """Return whether the segment touches one of the obstacles marked in ``near`` (K,)."""
         import shapely
 
         flown = shapely.points(start) if np.array_equal(start, end) else shapely.linestrings([start, end])

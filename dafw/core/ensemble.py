@@ -1,7 +1,7 @@
 """Frozen value types that travel through a cycle: ``Ensemble``, ``Vehicle``, ``Route``, ``Step``, ``Analysis``.
 
-Arrays inside them are read-only; whoever wants others makes new ones. What a plugin must remember from one call to
-the next is a ``Memory``: named arrays that it hands out and takes back, never something hidden on ``self``.
+Arrays inside them are read-only; to change a value, make a new one. What a plugin must remember from one call to the
+next is a ``Memory``: named arrays that the plugin returns and is given again, never something hidden on ``self``.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ type Memory = Mapping[str, Any]
 
 
 def freeze(array: Any) -> Array:
-    """Return ``array`` as float64 that cannot be written to, in C order: the order decides the bits of sums.
+    """Return ``array`` as read-only float64 in C order. The order is fixed because it decides the bits of sums.
 
-    An array that its owner can still write to is copied: theirs stays writable, and ours stays as it is.
+    A writable array is copied, so that the caller can still write to the original without changing the result.
     """
     frozen = np.asarray(array, dtype=np.float64, order="C")
     if frozen.flags.writeable:
@@ -33,13 +33,13 @@ def freeze(array: Any) -> Array:
 
 
 def handed_over(fresh: Array) -> Array:
-    """Make an array read-only without a copy, and return it: whoever made it gives it away and writes to it no more."""
+    """Make an array read-only without a copy, and return it; the caller must not write to it any more."""
     fresh.setflags(write=False)
     return fresh
 
 
 def points(array: Any, what: str) -> Array:
-    """Return ``array`` as frozen points (k, 2) in metres; raises ContractError, which says ``what`` they are."""
+    """Return ``array`` as read-only points (k, 2) in metres; raises ContractError, which calls them ``what``."""
     frozen = freeze(array)
     if frozen.size == 0:
         return frozen.reshape(0, 2)
@@ -68,8 +68,8 @@ type Diagnostics = Mapping[str, Diagnostic]
 class Ensemble:
     """Members (N, n) of a state space at a time in seconds.
 
-    ``weights`` (N,) add up to one; without them all members count alike. Raises ContractError for weights that are
-    negative, not finite, of another number or that do not add up to one.
+    ``weights`` (N,) add up to one; without them all members count equally. Raises ContractError for weights that are
+    negative, not finite, not N in number or do not add up to one.
 
     >>> belief = Ensemble([[1.0, 0.1], [3.0, 6.2]], StateSpace([Variable("x", 1), Variable("angle", 1, ANGLE)]))
     >>> belief.mean.round(3), belief.spread.round(3)
@@ -111,7 +111,7 @@ class Ensemble:
     def variance(self) -> Array:
         """Sample variance (n,), unbiased for independent members; NaN for a single member.
 
-        With weights w it is the weighted mean square over 1 - sum w^2, and zero where one member has all the weight.
+        With weights w it is the weighted mean square divided by 1 - sum w^2; zero if one member has all the weight.
         """
         if len(self) < 2:
             return handed_over(np.full(self.space.size, np.nan))
@@ -128,13 +128,13 @@ class Ensemble:
 
     @property
     def effective_size(self) -> float:
-        """How many members of equal weight would say as much: 1 / sum w^2."""
+        """The effective sample size 1 / sum w^2: N for equal weights, 1 if one member has all the weight."""
         return float(len(self)) if self.weights is None else float(1.0 / (self.weights @ self.weights))
 
     def quantile(self, probability: float) -> Array:
-        """Return the quantile (n,) of every number, angles counted from their circular mean.
+        """Return the quantile (n,) of every number; angles are measured from their circular mean.
 
-        With weights it is the smallest member whose weight, with that of all smaller ones, reaches ``probability``.
+        With weights it is the smallest member at which the cumulative weight reaches ``probability``.
         """
         if self.weights is None:
             deviation = np.quantile(self.anomalies, probability, axis=0)
@@ -157,8 +157,8 @@ class Ensemble:
 class Vehicle:
     """The vehicles as a policy sees them: ``positions`` (V, 2) in metres, ``speed`` in m/s.
 
-    ``dt`` is the time to the next decision in seconds; ``airspace`` is where they may fly, None where nothing limits
-    them. Raises ContractError for positions of another shape.
+    ``dt`` is the time to the next decision in seconds; ``airspace`` is where they may fly, None for anywhere. Raises
+    ContractError for positions of another shape.
     """
 
     positions: Array
@@ -181,10 +181,11 @@ class Vehicle:
 
 @dataclass(frozen=True, eq=False)
 class Route:
-    """What the vehicles fly until the next decision: for each a polyline (k, 2) in metres that begins where it is.
+    """What the vehicles fly until the next decision: one polyline (k, 2) in metres each, from the vehicle's position.
 
-    ``notes`` are sentences for the log (a vehicle that found every way blocked says so). ``dt`` is how long it takes
-    in seconds; the framework sets it before an observer is told. Raises ContractError for paths of another shape.
+    ``notes`` are sentences for the log, for example that a vehicle found every way blocked. ``dt`` is the duration of
+    the route in seconds; the framework sets it before it calls an observer. Raises ContractError for paths of another
+    shape.
 
     >>> Route((np.array([[0.0, 0.0], [3.0, 4.0]]),)).ends
     array([[3., 4.]])
@@ -213,7 +214,7 @@ class Route:
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """What a model with more to say than its members returns from a step."""
+    """What a model returns from a step if it has memory or diagnostics to return beside its members."""
 
     members: Array
     memory: Memory | None = None
@@ -224,7 +225,7 @@ class Step:
 class Forecast:
     """An ensemble that a model has stepped, with the model's memory and diagnostics.
 
-    The same is a belief after an analysis: with the memory from which the model goes on.
+    A belief after an analysis has the same type; its memory is the one that the model's next step starts from.
     """
 
     ensemble: Ensemble
@@ -238,11 +239,11 @@ class Forecast:
 
 @dataclass(frozen=True, eq=False)
 class Analysis:
-    """What a filter returns: the members (N, n) once the readings are in; what to remember and to record.
+    """What a filter returns: the members (N, n) after the analysis, what to remember and what to record.
 
-    ``weights`` (N,) add up to one; None: all members count alike. A filter that looks back may also hand out
-    ``revised``, beliefs at earlier times by the number of cycles that were done by then, and ``model_memory``, which
-    goes with the new members; None: the forecast's memory does.
+    ``weights`` (N,) add up to one; None: all members count equally. A filter that looks back may also return
+    ``revised``, beliefs at earlier times, keyed by the number of cycles done by then, and ``model_memory``, which
+    belongs to the new members; None: the forecast's memory is kept.
 
     >>> Analysis(np.zeros((2, 1)), diagnostics={"rank": Diagnostic(1)}).members.shape
     (2, 1)

@@ -1,4 +1,4 @@
-"""Named exceptions, each with the exit status of a command: 2, the request was wrong; 1, a computation failed."""
+"""Named exceptions, each with a command's exit status: 2 if the request was wrong, 1 if a computation failed."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import ClassVar
 
 
 class DafwError(Exception):
-    """Everything that dafw raises on purpose; ``member`` is the number of the member it was about, where it was one."""
+    """Base of all errors that dafw raises; ``member`` is the number of the member that it is about, if any."""
 
     exit_status: ClassVar[int] = 1
     member: int | None = None
@@ -20,7 +20,7 @@ class DafwError(Exception):
 
 
 class RequestError(DafwError):
-    """What was asked for cannot be done: found before anything is computed."""
+    """The request cannot be fulfilled; raised before anything is computed."""
 
     exit_status = 2
 
@@ -46,7 +46,7 @@ class RunError(RequestError):
 
 
 class ComputationError(DafwError):
-    """A computation failed although the request was a legal one."""
+    """A computation failed although the request was valid."""
 
 
 class ContractError(ComputationError):
@@ -54,11 +54,11 @@ class ContractError(ComputationError):
 
 
 class DivergenceError(ComputationError):
-    """A belief has left all sense: its numbers are far beyond what the model can produce."""
+    """A belief has diverged: its numbers are far beyond what the model can produce."""
 
 
 class RecordError(ComputationError):
-    """A run cannot be written on: the disk is full, say."""
+    """The record of a run can no longer be written, for example because the disk is full."""
 
 
 class SolverError(ComputationError):
@@ -66,17 +66,17 @@ class SolverError(ComputationError):
 
 
 DISK_FAILURES = (errno.ENOSPC, errno.EDQUOT, errno.EIO)
-"""A disk that is full or broken: a computation fails although the request was a legal one."""
+"""Error numbers of a full or broken disk: the computation failed although the request was valid."""
 
 
 def is_request(error: BaseException) -> bool:
-    """Say whether an error of the operating system is about what was asked for, such as a file that is not there."""
+    """Return whether an error of the operating system is due to the request, such as a file that does not exist."""
     return isinstance(error, OSError) and error.errno not in DISK_FAILURES
 
 
 @contextmanager
 def about_member(member: int) -> Iterator[None]:
-    """Have errors say which member of the ensemble they are about, counted in what a model was handed."""
+    """Mark errors raised in the block as being about ``member``, its number in the array that the model was given."""
     try:
         yield
     except DafwError as error:

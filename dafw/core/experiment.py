@@ -65,12 +65,12 @@ class StudyOptions:
 
 
 def _variant(model: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the configuration of a model that differs from ``model``; another name starts from that plugin's own."""
+    """Return the configuration ``model`` with ``changes``. If they name another plugin, its defaults are the base."""
     return dict(changes) if changes.get("name", model.get("name")) != model.get("name") else merged(model, changes)
 
 
 def options_from(config: Mapping[str, Any]) -> StudyOptions:
-    """Check a composed configuration as far as that is possible without its plugins; raises ConfigurationError."""
+    """Check everything of a composed configuration but the plugins' options; raises ConfigurationError."""
     options = build(StudyOptions, config, "study")
     for label, points in (("vehicle.start", options.vehicle.start), ("section", options.section)):
         if any(len(point) != 2 for point in points):

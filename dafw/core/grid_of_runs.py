@@ -1,4 +1,4 @@
-"""Runs side by side in one lazy Dataset: each at its place in a grid of parameters, NaN where it has nothing."""
+"""Runs joined in one lazy Dataset: each at its place in a grid of parameters, NaN where a run has no values."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ type Values = np.ndarray[Any, Any]
 def join(runs: Mapping[Place, Dataset], coordinates: Mapping[str, Values], told: Mapping[str, Values]) -> Dataset:
     """Return the runs (of dask arrays), by their place in the grid of ``coordinates``, as one Dataset.
 
-    ``told`` holds what is known of every place, run or not. Raises RunError where a variable has other dimensions in
-    one run than in another.
+    ``told`` holds what is known of every place, whether a run is there or not. Raises RunError if a variable has
+    different dimensions in two runs.
     """
     labels, unlabelled = _labels(list(runs.values()))
     aligned = {place: _aligned(run, labels, unlabelled) for place, run in runs.items()}
@@ -50,9 +50,10 @@ def _close(runs: Any) -> None:
 
 
 def _labels(runs: Sequence[Dataset]) -> tuple[dict[str, Variable], set[str]]:
-    """Return the coordinates of the runs' own dimensions, and the dimensions for which they are not the same.
+    """Return the coordinates of the runs' own dimensions, and the dimensions whose coordinates differ between runs.
 
-    Runs of other lengths have the same where they begin alike; names of things are all that any run has.
+    Numeric coordinates agree if the shorter ones are the beginning of the longest. For coordinates that are names,
+    the result is all names that occur in any run.
     """
     labels: dict[str, Variable] = {}
     unlabelled: set[str] = set()
@@ -70,7 +71,7 @@ def _labels(runs: Sequence[Dataset]) -> tuple[dict[str, Variable], set[str]]:
 
 
 def _aligned(run: Dataset, labels: Mapping[str, Variable], unlabelled: set[str]) -> Dataset:
-    """Return a run with named things in the order of all runs, and without coordinates on which runs do not agree."""
+    """Return a run with named entries in the common order, and without coordinates that differ between runs."""
     for name in unlabelled & {str(name) for name in run.indexes}:
         run = run.assign({f"row_{name}": (name, run[name].values, run[name].attrs)}).drop_vars(name)
     named = {name: values for name, values in labels.items() if values.dtype.kind in "UO" and name in run.indexes}
@@ -78,7 +79,7 @@ def _aligned(run: Dataset, labels: Mapping[str, Variable], unlabelled: set[str])
 
 
 def _joined(name: str, having: Mapping[Place, Variable], grid: Mapping[str, int], sizes: Mapping[str, int]) -> Variable:
-    """Return a variable of all runs that have it: over the grid, or once where it is the same and has no time."""
+    """Return a variable of all runs that have it: over the grid, or once if it is the same in all and has no time."""
     first = next(iter(having.values()))
     dims = tuple(str(dim) for dim in first.dims)
     if any(variable.dims != first.dims for variable in having.values()):

@@ -1,8 +1,8 @@
 """Values between the nodes: of one state at given places, and of one state space in another.
 
-On triangles the value in between is linear (barycentric weights); on a line it is linear, too; otherwise it is that of
-the nearest node. A point outside of all triangles, as a node of another mesh at a wall may be by rounding, takes the
-value of the nearest node.
+On triangles and on a line the interpolation is linear (on triangles by barycentric weights). Otherwise a point takes
+the value of the nearest node. So does a point outside of all triangles: rounding may put a node of another mesh at a
+wall there.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from dafw.core.space import Array, IntArray, Kind, StateSpace, Variable
 
 
 def weights_at(variable: Variable, triangles: NDArray[np.int32] | None, points: Array) -> tuple[IntArray, Array]:
-    """Return which entries of a variable count at ``points`` (m, d) and how much: indices and weights, both (m, k).
+    """Return the interpolation of a variable to ``points`` (m, d): indices of its entries and weights, both (m, k).
 
-    ``triangles`` (faces, 3) connect the entries, None where nothing does. Raises ConfigurationError where the variable
-    has no places.
+    ``triangles`` (faces, 3) connect the entries; None if there are none. Raises ConfigurationError if the variable has
+    no coordinates.
     """
     nodes = variable.coordinates
     if nodes is None or nodes.shape[1] != points.shape[1]:
@@ -68,25 +68,25 @@ def _on_line(nodes: Array, points: Array) -> tuple[IntArray, Array]:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """One state as seen in another state space: ``matrix`` (m, n), sparse; NaN where the state has no such thing."""
+    """Maps a state to another state space by a sparse ``matrix`` (m, n); NaN for variables that the state lacks."""
 
     space: StateSpace
     matrix: Any
     missing: NDArray[np.bool_]
 
     def of(self, ensemble: Ensemble) -> Ensemble:
-        """Return an ensemble (N, n) of the one space as an ensemble (N, m) of the other."""
+        """Return an ensemble (N, n) of the first space as an ensemble (N, m) of the second."""
         members = np.asarray((self.matrix @ ensemble.members.T).T)
         members[:, self.missing] = np.nan
         return Ensemble(members, self.space, ensemble.time, ensemble.weights)
 
 
 def view(of: StateSpace, of_domain: Domain | None, space: StateSpace, role: str) -> View | None:
-    """Return how a state of the space ``of`` is seen in ``space``; None where both mean the same by the same numbers.
+    """Return the map from states of the space ``of`` to states of ``space``; None if the spaces agree.
 
-    Variables meet by name; places in between are interpolated. What ``of`` does not have is NaN, but for the first
-    variable, which is the one that is scored. Raises ConfigurationError, which names the ``role`` of the state that is
-    seen, where the first variable is missing, of another kind, or cannot be interpolated.
+    Variables are matched by name and interpolated in space. Variables that ``of`` does not have are NaN, except the
+    first, which is scored and must exist. Raises ConfigurationError, which names the ``role`` of the mapped state, if
+    the first variable is missing, of another kind, or cannot be interpolated.
     """
     if of.agrees(space):
         return None
@@ -118,7 +118,7 @@ def view(of: StateSpace, of_domain: Domain | None, space: StateSpace, role: str)
 def _from_variable(
     other: Variable, variable: Variable, of: StateSpace, domain: Domain | None, role: str
 ) -> tuple[IntArray, Array]:
-    """Return which entries of ``other`` make those of ``variable``, and how much each counts."""
+    """Return the interpolation from ``other`` to ``variable``: indices of the entries of ``other``, and weights."""
     same = other.size == variable.size
     if same and variable.coordinates is None and other.coordinates is None:
         return np.arange(variable.size)[:, np.newaxis], np.ones((variable.size, 1))

@@ -1,4 +1,4 @@
-"""Sorting readings by the cycle that they belong to: those of now, late ones, and those that come to nothing."""
+"""Sorting readings by the cycle that they belong to: present ones, late ones, and those that are dropped."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from dafw.core.space import Array
 
 LATE_CHOICES = ("drop", "use")
 FORGIVEN = 1e-6
-"""Share of a time step by which the time of a reading may be off: times of cycles are sums of rounded steps."""
+"""Tolerance of reading times as a fraction of the time step: times of cycles are sums of rounded steps."""
 USES = ("on_time", "late_in_window", "late_used_now", "late_dropped", "before_start")
-"""What becomes of a reading."""
+"""The ways in which a reading can be used or dropped."""
 NONE = dict.fromkeys(USES, 0)
 
 
 @dataclass(frozen=True, eq=False)
 class Sorted:
-    """Readings by what becomes of them.
+    """Readings sorted by how they are used.
 
-    ``now`` are those that are used at the end of this cycle, whose own times (m,) in seconds are ``times``; ``late``
-    those of earlier cycles by the cycle's number, and ``dropped`` those that nobody can use any more. ``counts`` says
-    how many readings there were of each kind: ``on_time``, ``late_in_window``, ``late_used_now``, ``late_dropped``,
-    ``before_start``.
+    ``now`` are the readings that are used at the end of this cycle; ``times`` (m,) are the times in seconds at which
+    they were taken. ``late`` are readings of earlier cycles, keyed by the cycle's number. ``dropped`` are readings
+    that are not used. ``counts`` is the number of readings of each kind: ``on_time``, ``late_in_window``,
+    ``late_used_now``, ``late_dropped``, ``before_start``.
     """
 
     now: Observation
@@ -42,12 +42,12 @@ def sort_by_cycle(
 ) -> Sorted:
     """Return the readings of a cycle, sorted.
 
-    A reading belongs to the cycle in whose time (start, end] it was taken. ``reach`` are the numbers of the cycles that
-    the filter's window holds, the present one last; ``late_readings`` is what becomes of those before them: ``use`` as
-    if they were of now, or ``drop``. A reading from before the first cycle is dropped: it is about another time than
-    the study's.
+    A reading belongs to the cycle in whose interval (start, end] it was taken. ``reach`` are the numbers of the cycles
+    in the filter's window, the present one last. ``late_readings`` says what to do with readings from before the
+    window: ``use`` them as if they were taken now, or ``drop`` them. A reading from before the first cycle is always
+    dropped, because the study does not cover its time.
     """
-    if len(observations) == 1 and observations[0].time == request.end:  # as in every cycle of a twin
+    if len(observations) == 1 and observations[0].time == request.end:  # in every cycle of a twin experiment
         one = observations[0]
         return Sorted(one, np.full(one.values.size, one.time), counts={**NONE, "on_time": one.values.size})
     now: list[Observation] = []

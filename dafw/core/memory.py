@@ -1,4 +1,4 @@
-"""How much memory a study needs, asked before it begins instead of being ended by the system in the middle."""
+"""Checks before a study begins that it fits in memory, so that the system does not kill it halfway."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ import psutil  # type: ignore[import-untyped]
 from dafw.core.errors import ConfigurationError
 
 GROUPS, OWN_GROUPS = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup")
-"""Where Linux lists its control groups, which containers and batch systems set limits by, and this process's own."""
+"""Files in which Linux lists control groups (the memory limits of containers and batch systems), and this process's."""
 
 
 def require_memory(wanted: Mapping[str, float]) -> None:
-    """Raise ConfigurationError where the bytes that are wanted, by what they are for, exceed what is free.
+    """Raise ConfigurationError if the ``wanted`` bytes, keyed by their purpose, exceed the free memory.
 
-    The most expensive thing is named.
+    The message names the largest of them.
     """
     total, free = sum(wanted.values()), free_memory()
     if total > free:
@@ -29,24 +29,24 @@ def require_memory(wanted: Mapping[str, float]) -> None:
 
 
 def free_memory() -> float:
-    """Return the bytes that this process may still use: of the machine, and of each control group that it is in."""
+    """Return the bytes that this process may still use: the least of what the machine and its control groups leave."""
     return min([float(psutil.virtual_memory().available), *_left_in_groups()])
 
 
 def _left_in_groups() -> Iterator[float]:
-    """Give what the limits of the process's control groups leave of memory, where there are limits.
+    """Yield the bytes that each control group of the process still has below its memory limit, if it has one.
 
-    What a group uses includes files that are kept in memory for no other reason than that there was room.
+    The reported use of a group includes cached files, which the kernel drops when memory is needed; they do not count.
     """
     for folder, limit, used, files in _groups():
-        with suppress(OSError, ValueError):  # no limit is the word "max", and the topmost group has no files
+        with suppress(OSError, ValueError):  # without a limit the file says "max"; the root group has no such files
             most = int((folder / limit).read_text())
             stat = dict(line.split() for line in (folder / "memory.stat").read_text().splitlines())
             yield max(0.0, float(most - int((folder / used).read_text()) + int(stat.get(files, 0))))
 
 
 def _groups() -> Iterator[tuple[Path, str, str, str]]:
-    """Give the folders of the process's control groups and of those around them, and the names of what is read there.
+    """Yield the folders of the process's control groups and of their parents, with the names of the files to read.
 
     There are two versions of control groups: https://docs.kernel.org/admin-guide/cgroup-v2.html and
     https://docs.kernel.org/admin-guide/cgroup-v1/memory.html.

@@ -1,7 +1,7 @@
 """Observation operators and observations. R is always a covariance: (m,) where diagonal, else (m, m).
 
-An operator carries two covariances: ``covariance``, which the filter is told, and ``noise_covariance``, by which a
-twin experiment's readings are drawn. They are the same unless a study sets them apart, as the paper does.
+An operator has two covariances: ``covariance`` is given to the filter; the noise of a twin experiment's readings is
+drawn from ``noise_covariance``. They are the same unless a study makes them differ, as the paper does.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from dafw.core.space import Array, IntArray
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ObservationOperator:
-    """Base of all operators H. ``coordinates`` (m, d) place the readings, NaN or None where they have no place.
+    """Base of all operators H. ``coordinates`` (m, d) are the places of the readings; NaN or None without a place.
 
     ``diagnostics`` are what an observer reports about the cycle, recorded under ``observer``. Raises
     ConfigurationError for a covariance that is neither (m,) nor (m, m) or whose diagonal is not above zero.
@@ -58,7 +58,7 @@ class ObservationOperator:
 
     @property
     def noise(self) -> Array:
-        """The covariance that readings are drawn by: (m,) where diagonal, else (m, m)."""
+        """The covariance of the noise that readings are drawn with: (m,) if diagonal, else (m, m)."""
         return self.covariance if self.noise_covariance is None else self.noise_covariance
 
 
@@ -97,7 +97,7 @@ class Stacked(ObservationOperator):
 
 
 def stack(parts: tuple[ObservationOperator, ...]) -> ObservationOperator:
-    """Return one operator for all parts, in their order. Of diagnostics of the same name the first stay."""
+    """Return one operator for all parts, in their order. Of diagnostics with the same name the first is kept."""
     coordinates = _stacked_coordinates(parts)
     covariance = block_diagonal([part.covariance for part in parts])
     noise = block_diagonal([part.noise for part in parts])
@@ -122,7 +122,7 @@ def nothing() -> Selection:
 
 
 def _stacked_coordinates(parts: tuple[ObservationOperator, ...]) -> Array | None:
-    """Return the places (m, d) of all readings, NaN for those that have none; None where nothing has a place."""
+    """Return the places (m, d) of all readings, NaN for readings without one; None if no reading has a place."""
     placed = [part.coordinates for part in parts if part.coordinates is not None and part.size]
     if not placed:
         return None
@@ -184,7 +184,7 @@ class Observation:
 
 
 def merged_observations(observations: Sequence[Observation], time: float) -> Observation:
-    """Return the readings of several observations as one at ``time`` (s); a single one of that time as it is."""
+    """Return several observations merged into one at ``time`` (s); a single one of that time is returned unchanged."""
     if len(observations) == 1 and observations[0].time == time:
         return observations[0]
     if not observations:

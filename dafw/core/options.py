@@ -26,7 +26,7 @@ from typing import Any
 from dafw.core.errors import ConfigurationError, OptionError
 
 REQUIRED = MISSING
-"""The default of an option that has none."""
+"""Marks an option that has no default and must be given."""
 
 
 def option(
@@ -72,7 +72,7 @@ class Described:
         return ", ".join(words + ([f"one of {', '.join(map(str, self.choices))}"] if self.choices is not None else []))
 
     def plain(self) -> dict[str, Any]:
-        """Return the option as JSON has it: no ``default`` where it must be given, and no limits that it has not."""
+        """Return the option for JSON: without ``default`` if it must be given, and without limits that it lacks."""
         entries = {f.name: getattr(self, f.name) for f in fields(self)}
         required = self.default is REQUIRED
         return {"required": required} | {
@@ -99,7 +99,7 @@ def _is_required(f: dataclasses.Field[Any]) -> bool:
 
 
 def _default(f: dataclasses.Field[Any], hint: Any, where: str) -> Any:
-    """Return the default of an option, held to what a given value is; raises OptionError."""
+    """Return the default of an option, checked like a given value; raises OptionError."""
     default = f.default_factory() if f.default_factory is not MISSING else f.default
     if _is_group(hint):
         return default
@@ -140,9 +140,9 @@ def schema(cls: type, **fixed: str) -> type:
 
 
 def _composable(hint: Any) -> Any:
-    """Return the type that Hydra checks; what it cannot express well is checked by ``build`` alone.
+    """Return the type that Hydra checks, or Any for types that only ``build`` can check.
 
-    That is a union with a container, and a container of containers (where Hydra takes no int for a float).
+    These are a union with a container, and a container of containers (where Hydra does not accept an int for a float).
     """
     parts = [part for part in typing.get_args(hint) if part is not type(None)]
     return Any if any(typing.get_origin(part) is not None for part in parts) or len(parts) > 2 else hint
@@ -151,8 +151,8 @@ def _composable(hint: Any) -> Any:
 def build[T](cls: type[T], values: Mapping[str, Any], where: str) -> T:
     """Make a ``cls`` from plain values, nested mappings included.
 
-    ``where`` names the place in messages (``filter 'etkf'``). Raises OptionError where an option is unknown, of the
-    wrong type or out of range, and the ConfigurationError with which the class itself refuses them.
+    ``where`` names the place in messages (``filter 'etkf'``). Raises OptionError if an option is unknown, of the
+    wrong type or out of range, and ConfigurationError if the class itself refuses the values.
     """
     known = dict((f.name, (f, hint)) for f, hint in _option_fields(cls))
     for name in values:
@@ -172,14 +172,14 @@ def build[T](cls: type[T], values: Mapping[str, Any], where: str) -> T:
             arguments[name] = _checked(values[name], hint, f, where)
     try:
         return cls(**arguments)
-    except ConfigurationError as error:  # of its __post_init__, which may not know under what name it is made
+    except ConfigurationError as error:  # raised by its __post_init__, which does not know the plugin's name
         if str(error).startswith(where):
             raise
         raise type(error)(f"{where}: {error}") from error
 
 
 def unknown_option(cls: type, name: str, where: str) -> str:
-    """Return what is said of an option that ``cls`` does not have: the nearest one, and all that there are."""
+    """Return the message about an option that ``cls`` does not have: it suggests the nearest and lists all."""
     known = [f.name for f, _ in _option_fields(cls) if "fixed" not in f.metadata]
     nested = [described.name for described in describe(cls) if described.name.rpartition(".")[2] == name]
     near = [*nested, *difflib.get_close_matches(name, known, n=1)]
@@ -208,7 +208,7 @@ def _checked(value: Any, hint: Any, f: dataclasses.Field[Any], where: str) -> An
 
 
 def _converted(value: Any, hint: Any) -> Any:
-    """Return ``value`` as the hinted type, or MISSING where it is not one; only an int bends, to a float."""
+    """Return ``value`` as the hinted type, or MISSING if it has another; the only conversion is from int to float."""
     origin, parts = typing.get_origin(hint), typing.get_args(hint)
     if hint is Any:
         return value
@@ -238,7 +238,7 @@ def _numbers(value: Any) -> Iterator[float]:
 
 
 def merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Return ``base`` with ``changes`` laid over it, nested mappings entry by entry."""
+    """Return ``base`` updated with ``changes``; nested mappings are merged entry by entry."""
     result = dict(base)
     for name, value in changes.items():
         old = result.get(name)
@@ -267,10 +267,10 @@ def type_name(hint: Any) -> str:
 
 
 def require_options(made: Any, where: str) -> None:
-    """Hold the options of an object that was made in Python to their types and ranges; raises OptionError.
+    """Check the options of an object that was made in Python against their types and ranges; raises OptionError.
 
-    Numbers and arrays of numpy count as Python's. Fields that were not declared by ``option`` are left alone, and so is
-    an object that is no dataclass.
+    Numpy numbers and arrays count as Python's. Fields that were not declared by ``option`` are not checked, nor is an
+    object that is not a dataclass.
     """
     if not is_dataclass(made) or not any("help" in f.metadata for f in fields(made)):
         return

@@ -17,14 +17,14 @@ from dafw.core.options import build
 from dafw.core.space import Array, StateSpace, Variable, sum_of_squares
 
 SENSELESS = 1e3
-"""So many times what its variable calls plausible, a number has left all sense."""
+"""A number has diverged if it exceeds this many times the ``plausible`` value of its variable."""
 
 
 class Plugin:
     """What all kinds share: their kind, and the name under which they were registered.
 
-    ``expected_failures`` declares, by name and with a reason, the checks of ``dafw.testing`` that a plugin does not
-    mean to pass; docs/conformance.md lists the checks.
+    ``expected_failures`` declares, by name and with a reason, the checks of ``dafw.testing`` that a plugin is meant to
+    fail; docs/conformance.md lists the checks.
     """
 
     kind: ClassVar[str]
@@ -33,7 +33,7 @@ class Plugin:
 
     @classmethod
     def check_options(cls) -> Mapping[str, Any]:
-        """Return the options under which ``dafw check`` makes the plugin: something small and quick."""
+        """Return the options with which ``dafw check`` makes the plugin: a small and quick case."""
         return {}
 
     @classmethod
@@ -57,7 +57,7 @@ class Plugin:
             raise ConfigurationError(f"{self.label}: {error}") from error
 
     def require_places(self, space: StateSpace, name: str) -> Array:
-        """Return where the numbers of a state variable are, (M, 2) in metres; raises ConfigurationError."""
+        """Return the coordinates (M, 2) of a state variable in metres; raises ConfigurationError if it has none."""
         coordinates = self.require_variable(space, name).coordinates
         if coordinates is None or coordinates.shape[1] != 2:
             raise ConfigurationError(f"{self.label}: the variable '{name}' has no coordinates in the plane")
@@ -71,7 +71,7 @@ class Plugin:
         if values.shape != shape:
             raise ContractError(f"{self.label}: {what} must have the shape {shape}, got {values.shape}")
         values = values.astype(np.float64, copy=False)
-        # A sum of squares is finite only if all numbers are, and takes a third of the time of asking each of them.
+        # A sum of squares is finite only if all numbers are, and takes a third of the time of np.isfinite on each.
         if not isfinite(sum_of_squares(values)) and not np.isfinite(values).all():
             place = tuple(int(i) for i in np.argwhere(~np.isfinite(values))[0])
             raise ContractError(f"{self.label}: {what} holds {values[place]} at {place}")
@@ -81,7 +81,7 @@ class Plugin:
         """Return members as ``checked`` does; raises DivergenceError where they are far beyond what is plausible."""
         values = np.asarray(array)
         agreed = values.dtype == np.float64 and values.shape == shape
-        # One sum of squares answers both questions for all but wild numbers.
+        # Unless there are very large numbers, one sum of squares shows that all are finite and plausible.
         if agreed and sum_of_squares(values) <= space.plausible_squares * SENSELESS**2:
             return values
         values = self.checked(values, shape, what)
@@ -89,7 +89,7 @@ class Plugin:
         return values
 
     def checked_diagnostics(self, diagnostics: Diagnostics) -> None:
-        """Raise ContractError where a diagnostic is not made of real numbers with a name for every axis."""
+        """Raise ContractError if a diagnostic does not hold real numbers or lacks a name for an axis."""
         for name, diagnostic in diagnostics.items():
             if not isinstance(diagnostic, Diagnostic):
                 raise ContractError(f"{self.label}: '{name}' must be a Diagnostic, got {type(diagnostic).__name__}")
@@ -102,7 +102,7 @@ class Plugin:
 
 
 def described(space: StateSpace, members: Array) -> str:
-    """Say which of the numbers (N, n) is the most extreme: variable, node, member and value."""
+    """Describe the most extreme of the numbers (N, n): variable, node, member and value."""
     member, entry = space.farthest(members)
     return f"{space.place_of(entry)} of member {member}: {members[member, entry]:.6g}"
 
@@ -118,7 +118,7 @@ def require_sense(plugin: Plugin, space: StateSpace, members: Array) -> None:
 
 
 def label_of(plugin: Plugin) -> str:
-    """Return the plugin's label, which its author may have overwritten with something that fails."""
+    """Return the plugin's label, or a substitute if the author's own ``label`` fails."""
     try:
         return str(plugin.label)
     except Exception:
@@ -126,9 +126,9 @@ def label_of(plugin: Plugin) -> str:
 
 
 def by_plugin(error: BaseException) -> ComputationError | None:
-    """Return an error that says which plugin raised ``error``, and in which of its methods; None: no plugin did.
+    """Return an error that names the plugin and the method which raised ``error``; None if no plugin did.
 
-    It is the plugin of the innermost method that was under way.
+    Of several plugins in the call stack it is the innermost.
     """
     for frame, _ in reversed(list(traceback.walk_tb(error.__traceback__))):
         plugin = frame.f_locals.get("self")
@@ -140,7 +140,7 @@ def by_plugin(error: BaseException) -> ComputationError | None:
 
 @contextmanager
 def plugins_named() -> Iterator[None]:
-    """Have errors that plugins raise on their own, and that are no DafwError, become ones that name the plugin."""
+    """Turn errors other than DafwError that plugins raise in the block into errors that name the plugin."""
     try:
         yield
     except DafwError:
@@ -149,5 +149,5 @@ def plugins_named() -> Iterator[None]:
         failure = by_plugin(error)
         if failure is None:
             raise
-        # Something that an option names is not there, say.
+        # For example, a file that an option names does not exist.
         raise ConfigurationError(str(failure)) if is_request(error) else failure from error

@@ -1,4 +1,4 @@
-"""What is believed of a single number before anything was read: priors by name, to draw from and to weigh by.
+"""Prior distributions of single numbers, chosen by name: to draw from, and to evaluate the log density of.
 
 =============  ==============================================  =================================================
 name           parameters                                      density
@@ -36,12 +36,12 @@ PARAMETERS = {
     "angle": ("mean", "sd"),
 }
 WRAPS = np.arange(-3, 4)
-"""Turns that count for the density of a wrapped normal distribution."""
+"""Number of turns on each side that are summed for the density of a wrapped normal distribution."""
 
 
 @dataclass(frozen=True)
 class Prior:
-    """One distribution; ``parameters`` by name as in the table above. Raises ConfigurationError for others."""
+    """One distribution; ``parameters`` are named as in the table above. Raises ConfigurationError for other names."""
 
     name: str
     parameters: Mapping[str, float]
@@ -66,7 +66,7 @@ class Prior:
 
     @classmethod
     def of(cls, config: Mapping[str, Any], what: str) -> Prior:
-        """Make a prior from a mapping with its ``name`` and parameters; errors say ``what`` it is of."""
+        """Make a prior from a mapping with its ``name`` and parameters; error messages call it ``what``."""
         options = dict(config)
         try:
             return cls(str(options.pop("name", "")), options)
@@ -99,7 +99,7 @@ class Prior:
                 return 0.0 if reduced >= TWO_PI else reduced
 
     def log_density(self, x: Array) -> Array:
-        """Return the log density at each of ``x`` (...): minus infinity where there is none, 0 for a point."""
+        """Return the log density at each of ``x`` (...): minus infinity where the density is zero, 0 for a point."""
         x = np.asarray(x, dtype=np.float64)
         match self.name:
             case "point":

@@ -1,9 +1,9 @@
-"""What a run keeps of its cycles, written while it goes on and read by plain xarray. docs/run-file.md lists the names.
+"""Writes the cycles of a run to ``run.nc`` while the run goes on. docs/run-file.md lists the names in the file.
 
 Row k of ``time`` is the state after k cycles, as it was known then. Fields are stored in single precision, parameters
-and scores in double. Rows are kept back until one comes ``FLUSH_SECONDS`` after the last writing, and then written and
-synchronised; a run killed at any moment leaves a file that opens. Beliefs that a filter revises later go to the row
-that they belong to, under names of their own, with the same writing.
+and scores in double. Rows are held in memory until one comes at least ``FLUSH_SECONDS`` after the last write. Then all
+are written and the file is synchronised, so that a run killed at any moment leaves a file that opens. Beliefs that a
+filter revises later are written at the same time, to the row that they belong to, as separate variables.
 """
 
 from __future__ import annotations
@@ -108,7 +108,7 @@ class Record:
         return {f"{name}_{stage}": _squeeze(values) for name, values in self._space.unpack(vector).items()}
 
     def _cycle_row(self, cycle: Cycle) -> dict[str, Any]:
-        # How long recording took is known when it is done: the row after it says so.
+        # The time that recording takes is known only afterwards, so it is recorded in the next row.
         seconds = cycle.seconds | {"record": self._recording}
         row: dict[str, Any] = {"phase_seconds": [seconds.get(phase, np.nan) for phase in PHASES]}
         expected = cycle.forecast.average(cycle.predicted)
@@ -121,7 +121,7 @@ class Record:
         return row
 
     def flush(self) -> None:
-        """Write what is kept back, and revised beliefs to the rows that they belong to, and synchronise."""
+        """Write the rows held in memory, and revised beliefs to the rows that they belong to; synchronise the file."""
         self._file.write(self._rows)
         self._rows.clear()
         for done, belief in self._revised.items():
@@ -137,7 +137,7 @@ class Record:
         self._flushed = perf_counter()
 
     def _smoothed_error(self, done: int, belief: Ensemble) -> float:
-        """Return ERR of a revised belief against the truth in the file, which is of single precision for fields."""
+        """Return ERR of a revised belief against the truth in the file, whose fields have single precision."""
         name = self._space.variables[0].name
         part = self._space.slice(name)
         truth: Array = np.full(self._space.size, np.nan)
@@ -145,7 +145,7 @@ class Record:
         return error_of(self._space, truth, belief.mean)
 
     def close(self) -> None:
-        """Write the rest and close the file, which is closed even where the rest cannot be written."""
+        """Write the remaining rows and close the file. It is closed even if they cannot be written."""
         if self._file.is_open:
             try:
                 self.flush()
@@ -154,12 +154,12 @@ class Record:
 
 
 def _observation_row(cycle: Cycle, expected: Array, space: StateSpace) -> dict[str, Any]:
-    """Return the readings that became known in a cycle: those of now, late ones, and those that were dropped.
+    """Return the readings that arrived in a cycle: those used now, late ones, and dropped ones.
 
-    ``expected`` (m,) is what the forecast expected of those of now.
+    ``expected`` (m,) is what the forecast predicts for those used now.
     """
     readings = cycle.readings
-    # Readings of now are used together at the end of the cycle; each was taken at a time of its own.
+    # The filter uses these readings together at the end of the cycle, but each was taken at its own time.
     row = _readings(readings.now, 0, expected, space) | {"observation_time": readings.times}
     others = [(one, 1) for _, one in readings.late] + [(one, 2) for one in readings.dropped]
     if not others:
@@ -177,7 +177,7 @@ def _observation_row(cycle: Cycle, expected: Array, space: StateSpace) -> dict[s
 
 
 def _readings(observation: Observation, use: int, expected: Array, space: StateSpace) -> dict[str, Any]:
-    """Return the row's variables of an observation; ``use`` says what became of it."""
+    """Return the row's variables of an observation; ``use`` says how it was used."""
     operator, covariance, size = observation.operator, observation.covariance, observation.values.size
     row: dict[str, Any] = {
         "observation_value": observation.values,

@@ -1,7 +1,7 @@
 """The registry: finds packages through the entry-point group ``dafw`` and makes plugins by kind and name.
 
-A package that cannot be imported, misspells the hook or takes a name that is taken does not stop the others: it is
-kept as a ``Problem``, listed by ``dafw plugins``, and raised as PluginError when one asks for what it should have held.
+A package that cannot be imported, misspells the hook or uses a name that is already in use does not stop the others.
+It is kept as a ``Problem``, which ``dafw plugins`` lists. Asking for one of its plugins raises it as PluginError.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ class Registry:
         self._plugins: dict[tuple[str, str], Registered] = {}
         self._versions: dict[str, str] = {}
         self.problems: list[Problem] = []
-        # dafw's own package first, the others by name: an outsider never takes a built-in's name.
+        # dafw's own package first, then the others by name: so no other package can take the name of a built-in.
         for entry in sorted(packages, key=lambda entry: (entry.value != "dafw.plugins", entry.name)):
             package = f"{entry.dist.name if entry.dist else entry.value} ({entry.value})"
             if entry.dist is not None:
@@ -113,7 +113,7 @@ class Registry:
         return sorted(name for k, name in self._plugins if k == kind)
 
     def named(self, name: str) -> list[Registered]:
-        """Return the plugins of this name, of whatever kind; raises PluginError where there is none."""
+        """Return the plugins of this name of all kinds; raises PluginError if there is none."""
         found = [registered for registered in self.plugins() if registered.spec.name == name]
         if not found:
             known = sorted({registered.spec.name for registered in self.plugins()})
@@ -180,7 +180,7 @@ class Registry:
     def recipe(self, plugin: Plugin) -> dict[str, Any] | None:
         """Return the configuration from which ``create`` makes the same plugin again; None for an unregistered class.
 
-        That is the name and the dataclass fields that its maker may set.
+        That is the name and the dataclass fields that ``__init__`` accepts.
         """
         name = self._registered_name(plugin)
         if name is None or not is_dataclass(plugin):
@@ -192,7 +192,7 @@ class Registry:
         return next((name for name, one in of_its_kind if _loaded_class(one.spec.target) is type(plugin)), None)
 
     def parts(self, plugins: Mapping[str, Plugin]) -> dict[str, str]:
-        """Return the registered name of each plugin by its role, or where its class is: ``package.module:Class``."""
+        """Return by role each plugin's registered name, or ``package.module:Class`` if its class is not registered."""
         return {role: self._registered_name(plugin) or _target(plugin) for role, plugin in plugins.items()}
 
     def versions(self, plugins: Iterable[Plugin] = ()) -> dict[str, str]:
@@ -212,7 +212,7 @@ def _distributions() -> Mapping[str, list[str]]:
 
 
 def _loaded_class(target: str) -> Any:
-    """Return the class that a target names, None where its module has not been imported: then nobody made one of it."""
+    """Return the class of a target; None if its module is not imported, because then no instance of it can exist."""
     module, _, attribute = target.partition(":")
     return getattr(sys.modules.get(module), attribute, None)
 
@@ -222,7 +222,7 @@ def _target(plugin: Plugin) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Return options without dataclasses: as a configuration has them."""
+    """Return options as plain values: dataclasses become mappings, as in a configuration."""
     return asdict(value) if is_dataclass(value) and not isinstance(value, type) else value
 
 

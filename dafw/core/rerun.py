@@ -1,8 +1,8 @@
 """Running the model again: any members, from any cycle to any later one, through the study's executor.
 
-With the belief's own random streams a re-run of the belief's members gives the belief's bits, model error included.
-Under another role the streams are others, as for planning. Whoever holds a ``Rerun`` can reach the model and nothing
-else: neither the truth nor the noise of its readings.
+With the belief's own random streams a re-run of the belief's members repeats the belief bit for bit, model error
+included. Under another role, such as planning, the streams are different ones. A ``Rerun`` gives access to the model
+alone: neither the truth nor the noise of its readings can be reached through it.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ MODEL_ERROR = "model error"
 
 @dataclass(frozen=True, eq=False)
 class Replay:
-    """What a re-run gives.
+    """The result of a re-run.
 
-    ``forecast`` is the ensemble at the end, with the model's memory; ``predicted`` are the readings (N, m) that the
-    members would have given, by the number of the cycle at whose end they were taken; ``states`` are the ensembles
-    after every cycle where they were asked for.
+    ``forecast`` is the ensemble at the end, with the model's memory. ``predicted`` are the readings (N, m) that the
+    members predict, keyed by the number of the cycle at whose end they are taken. ``states`` are the ensembles after
+    every cycle, if they were asked for.
     """
 
     forecast: Forecast
@@ -76,18 +76,18 @@ class Rerun:
         role: str = MODEL_ERROR,
         keep: bool = False,
     ) -> Callable[[], Replay]:
-        """Begin to run the members of ``start`` from the beginning of cycle ``first`` to that of cycle ``last``.
+        """Start a run of the members of ``start`` from the beginning of cycle ``first`` to that of cycle ``last``.
 
-        Calling what comes back waits for the Replay; several may be under way at once.
+        Return a function that waits for the Replay and returns it; several runs may be under way at once.
 
         start      an ensemble of any number of members at the beginning of cycle ``first``, with the model's memory
-                   where it has one that goes with them; without, the model makes a new one
-        operators  by the number of a cycle: what is read of the members at its end
-        role       the name of the random streams; the default are the belief's own
-        keep       hand out the ensembles after all cycles
+                   for these members, if there is one; otherwise the model makes a new one
+        operators  observation operators, keyed by the number of the cycle at whose end they are applied
+        role       the name of the random streams; by default the belief's own
+        keep       return the ensembles after all cycles
 
-        Raises ContractError where the cycles are in no order, an operator belongs to none of them, or the members are
-        of another state.
+        Raises ContractError if ``last`` is before ``first``, an operator belongs to none of the cycles, or the members
+        have another state space.
         """
         if last <= first or first < 0:
             raise ContractError(f"a re-run must go from a cycle to a later one, got {first} to {last}")
@@ -102,22 +102,22 @@ class Rerun:
         if isinstance(start, Ensemble):
             start = Forecast(start, self._model.initial_memory(start.members))
         ensemble = start.ensemble
-        # A name of its own for every other role: nobody can ask for the truth's streams or for those of its noise.
+        # The prefix keeps other roles apart from the study's own: no role can name the streams of the truth or noise.
         rng = self._streams.members(role if role == MODEL_ERROR else f"rerun {role}", first)
         batch = Batch(ensemble.members, start.memory, ensemble.time, rng, last - first, wanted, keep)
         stepped = self._executor.submit(self._model, batch)
         return lambda: self._replay(ensemble, first, last, stepped(), keep)
 
     def settled(self, ensemble: Ensemble) -> Ensemble:
-        """Return an ensemble at the start with the fields that follow from its single numbers."""
+        """Return an ensemble at the start with its fields recomputed from its parameters (``Model.settled``)."""
         members = self._model.settled(ensemble.members)
         return ensemble.with_members(self._model.checked(members, ensemble.members.shape, "settled members"))
 
     def _replay(self, ensemble: Ensemble, first: int, last: int, stepped: Stepped, keep: bool) -> Replay:
-        """Check and wrap what the executor gave."""
+        """Check and wrap the executor's result."""
         times = [ensemble.time]
         for _ in range(first, last):
-            times.append(times[-1] + self._model.dt)  # summed as the cycles sum it
+            times.append(times[-1] + self._model.dt)  # the same sum as in the cycles, so that the bits agree
         times = times[-len(stepped.steps) - 1 :]
         states = []
         for time, step in zip(times[:-1], stepped.steps, strict=True):

@@ -1,8 +1,8 @@
 """Random numbers: one seed gives every role, cycle and member a stream of its own.
 
 Philox is counter-based: a stream is addressed, not advanced. The key is made of the seed and the role, the counter of
-the cycle and the member. So a run that is continued needs no generator state, two policies meet the same noise, and a
-larger ensemble leaves the draws of the members that were there before as they were.
+the cycle and the member. So a run that is continued needs no generator state, two policies get the same noise, and
+adding members does not change the draws of the others.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ from dafw.core.space import Array
 
 
 class _Key(ISeedSequence):
-    """A key for Philox, handed over as a seed.
+    """A key for Philox, passed as a seed sequence.
 
-    ``Philox(key=...)`` means the same, but asks the operating system for entropy all the same: a stream takes 7 to 12
-    microseconds instead of 2 to 4. A cycle of Lorenz-96 (300 microseconds) opens 3 of them, one of the flagship 13.
+    ``Philox(key=...)`` gives the same stream, but also asks the operating system for entropy: making a stream takes 7
+    to 12 microseconds instead of 2 to 4. A cycle of Lorenz-96 (300 microseconds) makes 3, one of the flagship 13.
     """
 
     def __init__(self, words: np.ndarray) -> None:
         self._words = words
 
     def generate_state(self, n_words: int, dtype: Any = np.uint32) -> np.ndarray:
-        """Return the key, which is what Philox asks for."""
+        """Return the key; Philox calls this to get its key."""
         return self._words
 
 
@@ -37,10 +37,10 @@ class Streams:
 
     def __init__(self, seed: int) -> None:
         self.seed = seed
-        self._keys: dict[str, Any] = {}  # numpy's stubs do not know that any ISeedSequence will do
+        self._keys: dict[str, Any] = {}  # numpy's type stubs do not accept every ISeedSequence
 
     def __reduce__(self) -> tuple[type[Streams], tuple[int]]:
-        """Travel as the seed: it gives the same streams anywhere."""
+        """Pickle the seed alone: it gives the same streams in every process."""
         return Streams, (self.seed,)
 
     def generator(self, role: str, cycle: int, member: int = 0) -> np.random.Generator:
@@ -48,7 +48,7 @@ class Streams:
         if role not in self._keys:
             sequence = np.random.SeedSequence([self.seed, crc32(role.encode())])
             self._keys[role] = _Key(sequence.generate_state(2, np.uint64))
-        # The low words count the draws, so that streams of neighbours never meet.
+        # The low words of the counter count the draws, so that no two streams overlap.
         return np.random.Generator(np.random.Philox(self._keys[role], counter=[0, 0, member, cycle]))
 
     def members(self, role: str, cycle: int) -> MemberStreams:
@@ -57,7 +57,7 @@ class Streams:
 
 
 class MemberStreams:
-    """One generator for each member, made when asked for: ``rng[i]``."""
+    """One generator for each member, made on access: ``rng[i]``."""
 
     def __init__(self, streams: Streams, role: str, cycle: int, first: int = 0) -> None:
         self._streams, self._role, self._cycle, self._first = streams, role, cycle, first
@@ -68,7 +68,7 @@ class MemberStreams:
         return self._streams.generator(self._role, self._cycle, self._first + member)
 
     def shifted(self, first: int) -> MemberStreams:
-        """Return the streams as seen by a batch of members that begins at ``first``."""
+        """Return the streams of a batch of members that begins at member ``first``."""
         return MemberStreams(self._streams, self._role, self._cycle, self._first + first)
 
     def later(self, n_cycles: int) -> MemberStreams:

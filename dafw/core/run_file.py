@@ -1,6 +1,6 @@
-"""The netCDF file behind ``run.nc``: its dimensions and variables, and how rows of them are stored.
+"""The netCDF file ``run.nc``: its dimensions and variables, and how rows of them are stored.
 
-Nothing is deflated: fields with noise in them hardly shrink, and it takes ten times as long as writing them
+Nothing is compressed: noisy fields hardly shrink, and compressing takes ten times as long as writing
 (docs/run-file.md).
 """
 
@@ -21,7 +21,7 @@ from dafw.core.ugrid import write_domain
 
 CHUNK_NUMBERS = 4096
 USES = ("used", "used_in_window", "dropped")
-"""What became of a reading: used at the end of its row's cycle, late but within the filter's window, or not at all."""
+"""How a reading was used: at the end of its row's cycle, late but within the filter's window, or not at all."""
 KIND_NOTES = {
     Kind.FIELD: "",
     Kind.NONNEGATIVE: "nonnegative",
@@ -41,7 +41,7 @@ STAGES = {
 
 
 class RunFile:
-    """A new file with all variables of a run, but for diagnostics: these are defined when they are first met.
+    """A new file with all variables of a run except diagnostics, which are defined when they first occur.
 
     ``with_members`` names the state variables of which every member is kept. Raises RunError if the file cannot be
     made.
@@ -64,7 +64,7 @@ class RunFile:
             self._file = netCDF4.Dataset(path, "w", clobber=False, format="NETCDF4")
         except OSError as error:
             raise RunError(f"{path}: cannot be written, or holds a run already ({error})") from error
-        # Asking the file takes longer than remembering.
+        # Kept here because looking them up in the file is slower.
         self._fills: dict[str, Any] = {}
         self._shapes: dict[str, tuple[int, ...]] = {}
         self._written = 0
@@ -94,7 +94,7 @@ class RunFile:
         phases.long_name = "phase of a cycle"
 
     def _static(self, name: str, dims: tuple[str, ...], values: Any, units: str, long_name: str) -> Any:
-        """Write a variable that does not change with time, its dimensions made where they are missing."""
+        """Write a variable that does not change with time; create its dimensions if they are missing."""
         values = np.asarray(values)
         for dim, length in zip(dims, values.shape, strict=True):
             if dim not in self._file.dimensions:
@@ -109,7 +109,7 @@ class RunFile:
     ) -> None:
         """Define a variable over time."""
         sizes = [1 if self._file.dimensions[dim].isunlimited() else len(self._file.dimensions[dim]) for dim in dims]
-        # A whole number of a diagnostic may well be -1: what is missing there is a number that nobody means.
+        # An integer diagnostic may be -1, so its missing value is a number that does not occur.
         fill = {"f": np.nan, "i": -1}[dtype[0]] if dtype != "i8" else np.iinfo(np.int64).min
         # Short rows share a chunk.
         chunks = [max(1, min(1024, CHUNK_NUMBERS // max(1, math.prod(sizes[1:])))), *sizes[1:]]
@@ -119,12 +119,12 @@ class RunFile:
             name, dtype, dims, fill_value=fill, chunksizes=chunks if 0 not in chunks else None
         )
         variable.setncatts({"units": units, "long_name": long_name, **attributes})
-        # What is written has the variable's own type, and nothing to be masked.
+        # Written values already have the variable's type and are never masked, so netCDF4 need not convert them.
         variable.set_auto_maskandscale(False)
         self._fills[name], self._shapes[name] = variable._FillValue, tuple(sizes[1:])
 
     def _dims(self, variable: Variable) -> tuple[str, ...]:
-        """Return the dimensions of a state variable besides time; the first with several numbers owns ``node``."""
+        """Return a state variable's dimensions besides time; the first with several numbers gets ``node``."""
         if variable.size == 1:
             return ()
         for candidate in ("node", f"node_{variable.name}"):
@@ -201,7 +201,7 @@ class RunFile:
         self._define("phase_seconds", ("time", "phase"), "f8", "s", "wall time of the phases of a cycle")
 
     def require(self, name: str, diagnostic: Diagnostic, values: Any) -> None:
-        """Define a diagnostic's variable where it is new; raises ContractError where the values do not go into it."""
+        """Define a diagnostic's variable if it is new; raises ContractError if the values do not fit into it."""
         dtype = {"f": "f8", "i": "i8", "u": "i8", "b": "i1"}[values.dtype.kind]
         if name not in self._shapes:
             for dim, length in zip(diagnostic.dims, values.shape, strict=True):
@@ -218,12 +218,12 @@ class RunFile:
             raise ContractError(f"diagnostic '{name}' holds {values.max()}, a file holds whole numbers up to 2^63 - 1")
 
     def require_weights(self) -> None:
-        """Define the members' weights where a belief has some for the first time."""
+        """Define the variable of the members' weights if it is not there yet."""
         if "weight" not in self._shapes:
             self._define("weight", ("time", "member"), "f8", "1", "weights of the members of the analysis")
 
     def write(self, rows: Sequence[Mapping[str, Any]]) -> None:
-        """Add rows, each the values of variables by name, and synchronise; what a row leaves out stays missing."""
+        """Add rows (values by the variable's name) and synchronise; variables that a row lacks stay missing."""
         first, last = self._written, self._written + len(rows)
         for name in dict.fromkeys(name for row in rows for name in row):
             fill = self._fills[name]
@@ -234,12 +234,12 @@ class RunFile:
         self._file.sync()
 
     def rewrite(self, row: int, values: Mapping[str, Any]) -> None:
-        """Write variables of a row that was written before; what is read next may be the old or the new."""
+        """Write variables of a row again; a reader may see the old or the new values until the file is synchronised."""
         for name, value in values.items():
             self._file.variables[name][row] = value
 
     def read(self, name: str, row: int) -> Array:
-        """Return a variable of a row that was written before, as the file has it."""
+        """Return a variable of a row that was written before, as stored in the file."""
         return np.asarray(self._file.variables[name][row], dtype=np.float64)
 
     @property
@@ -253,7 +253,7 @@ class RunFile:
 
 
 def _block(values: list[Any], fill: Any) -> Any:
-    """Return rows of different lengths as one array, padded with ``fill``; a row that is missing is one ``fill``."""
+    """Return rows of different lengths as one array, padded with ``fill``; a missing row is all ``fill``."""
     try:
         return np.array(values, dtype=fill.dtype)
     except ValueError:  # they are of different lengths

@@ -1,4 +1,4 @@
-"""Opening what a run left behind."""
+"""Opening the files of a run."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def open_run(path: str | Path) -> xarray.Dataset:
-    """Open a run's folder, or its ``run.nc``, as a lazy Dataset; also while it is being written.
+    """Open a run's folder, or its ``run.nc``, as a lazy Dataset; this works also while the run goes on.
 
     Raises RunError where there is no run or the file cannot be read.
     """
@@ -22,10 +22,10 @@ def open_run(path: str | Path) -> xarray.Dataset:
     file = Path(path) / "run.nc" if Path(path).is_dir() else Path(path)
     if not file.is_file():
         raise RunError(f"{path}: holds no run (expected a run's folder or its run.nc)")
-    # A reader must not be refused because a run holds the lock.
+    # HDF5 would refuse to open the file while a run is writing it and holds its lock.
     os.environ.setdefault("HDF5_USE_FILE_LOCKING", "FALSE")
     try:
-        # Times and phases stay the plain seconds that they are.
+        # Keep times and phases as plain numbers of seconds; xarray would convert them to timedelta.
         return xarray.open_dataset(file, engine="netcdf4", decode_times=False)
     except (OSError, ValueError) as error:
         raise RunError(f"{file}: cannot be read as netCDF ({' '.join(str(error).split())})") from error

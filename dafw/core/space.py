@@ -13,7 +13,7 @@ kind                    mean                            difference a - b        
 ``ANGLE`` (radians)     circular, in [0, 2 pi)          wrapped to [-pi, pi)                 (x + dx) mod 2 pi
 ======================  ==============================  ===================================  =====================
 
-A positive variable moves in its logarithm: zero is never reached, and spread and errors of it are relative.
+A positive variable is moved in its logarithm: it never reaches zero, and its spread and errors are relative.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ type IntArray = NDArray[np.int64]
 
 TWO_PI = 2.0 * np.pi
 UNBOUNDED = 1e70
-"""Numbers up to here are no reason to look closer where no variable says what is plausible."""
+"""Up to this size, numbers are not examined further if no variable has a ``plausible`` value."""
 
 
 class Kind(Enum):
@@ -54,8 +54,8 @@ class Variable:
     """One named slice of the state.
 
     ``size`` numbers of one ``kind`` in ``units`` (UDUNITS spelling); ``coordinates`` is (size, d) in metres, or None
-    where the numbers have no place. ``plausible`` is the largest absolute value that the model itself can produce,
-    errors of its scheme included: a belief beyond it has diverged. Raises ConfigurationError where these do not fit
+    if the numbers have no place. ``plausible`` is the largest absolute value that the model itself can produce,
+    errors of its scheme included: a belief far beyond it has diverged. Raises ConfigurationError if these do not fit
     together.
 
     >>> Variable("speed", 2, NONNEGATIVE, "m s-1", np.array([[0.0, 0.0], [9.0, 0.0]])).nearest([[7.0, 1.0]])
@@ -120,7 +120,7 @@ class StateSpace:
         self._positive = [self._slices[v.name] for v in self.variables if v.kind is POSITIVE]
         self._angles = [self._slices[v.name] for v in self.variables if v.kind is ANGLE]
         self._bounded = [(self._slices[v.name], v.plausible) for v in self.variables if v.plausible < np.inf]
-        # No number is larger than the root of the sum of all squares: up to this sum none is beyond what is plausible.
+        # No number is larger than the root of the sum of all squares. So up to this sum of squares all are plausible.
         self.plausible_squares = min([limit for _, limit in self._bounded], default=UNBOUNDED) ** 2
 
     def __repr__(self) -> str:
@@ -128,7 +128,7 @@ class StateSpace:
         return f"StateSpace({listed})"
 
     def agrees(self, other: StateSpace) -> bool:
-        """Say whether another space means the same by the same numbers at the same places."""
+        """Return whether another space has the same variables at the same coordinates."""
         return len(self.variables) == len(other.variables) and all(
             (mine.name, mine.size, mine.kind) == (theirs.name, theirs.size, theirs.kind)
             and np.array_equal(
@@ -139,7 +139,7 @@ class StateSpace:
         )
 
     def __getitem__(self, name: str) -> Variable:
-        """Return the variable of that name; ConfigurationError lists the names there are."""
+        """Return the variable of that name; raises ConfigurationError, which lists all names."""
         for variable in self.variables:
             if variable.name == name:
                 return variable
@@ -186,7 +186,7 @@ class StateSpace:
         return difference
 
     def retract(self, x: Array, dx: Array) -> Array:
-        """Return x + dx (..., n), brought back into the set.
+        """Return x + dx (..., n), moved into the range of each variable.
 
         Nonnegative numbers are clamped, positive ones multiplied by exp(dx), angles taken mod 2 pi.
         """
@@ -202,12 +202,12 @@ class StateSpace:
     def excess(self, members: Array) -> float:
         """Return the largest of |x| / plausible in the members (..., n): above 1 they have diverged.
 
-        Zero where no variable says what is plausible; NaN where a variable that does holds NaN.
+        Zero if no variable has a ``plausible`` value; NaN if a variable that has one holds NaN.
         """
         largest = 0.0
         for part, limit in self._bounded:
             values = members[..., part]
-            # The reductions themselves, since the methods of an array take three times as long for a small one.
+            # Calling the ufuncs' reduce directly: for small arrays the array methods take three times as long.
             ratio = max(np.maximum.reduce(values, axis=None), -np.minimum.reduce(values, axis=None)) / limit
             if ratio != ratio:
                 return float("nan")
@@ -215,21 +215,21 @@ class StateSpace:
         return largest
 
     def exceeds(self, members: Array, factor: float) -> bool:
-        """Return whether a number of the members (..., n) is more than ``factor`` times what is plausible."""
+        """Return whether any number of the members (..., n) exceeds ``factor`` times its ``plausible`` value."""
         if not self._bounded or sum_of_squares(members) <= self.plausible_squares * factor**2:
             return False
         return self.excess(members) > factor
 
     def place_of(self, entry: int) -> str:
-        """Return the variable, and the node where it has several, of entry ``entry`` of the state."""
+        """Return the variable of entry ``entry`` of the state, and the node if the variable has several."""
         name = next(name for name, part in self._slices.items() if part.start <= entry < part.stop)
         node = f" at node {entry - self._slices[name].start}" if self[name].size > 1 else ""
         return f"'{name}'{node}"
 
     def farthest(self, members: Array) -> tuple[int, int]:
-        """Return member and entry of the number (N, n) that is farthest beyond what is plausible.
+        """Return member and entry of the number (N, n) that is largest relative to its ``plausible`` value.
 
-        Where no variable says what is plausible, it is the number that is largest in size.
+        If no variable has a ``plausible`` value, it is the number of largest absolute value.
         """
         scale = np.concatenate([np.full(v.size, v.plausible if self._bounded else 1.0) for v in self.variables])
         member, entry = np.unravel_index(np.argmax(np.abs(members) / scale), members.shape)
@@ -237,19 +237,19 @@ class StateSpace:
 
 
 def sum_of_squares(values: Array) -> float:
-    """Return the sum of the squares of all numbers, whatever their shape; infinite or NaN where one of them is."""
+    """Return the sum of the squares of an array of any shape; infinite or NaN if one of its numbers is."""
     flat = values.ravel(order="K")
     return float(flat @ flat)
 
 
 def _average(values: Array, weights: Array | None) -> Array:
     """Return the mean over axis 0 of ``values`` (N, k)."""
-    # The first is what values.mean(axis=0) does, at half its overhead.
+    # The first branch computes the same as values.mean(axis=0), at half its overhead.
     average: Array = np.add.reduce(values, axis=0) / len(values) if weights is None else weights @ values
     return average
 
 
 def _modulo(angle: Array) -> Array:
-    """Return the angle in [0, 2 pi): ``np.mod`` alone rounds tiny negative numbers up to 2 pi itself."""
+    """Return the angle in [0, 2 pi). ``np.mod`` alone is not enough: it rounds tiny negative numbers up to 2 pi."""
     reduced = np.mod(angle, TWO_PI)
     return np.where(reduced >= TWO_PI, 0.0, reduced)

@@ -1,8 +1,8 @@
-"""A study composed of objects: the face of dafw in plain Python, and what a configuration is turned into.
+"""A study composed of Python objects. A configuration, too, is turned into such a study.
 
-``Study(...)`` computes nothing. Iterating over a study gives its cycles, one at a time, for those who own their loop;
-``begin`` gives the parts of a cycle and the first state, for those who own the state as well. ``prepare`` builds what
-the parts need (a mesh, say) and checks that they fit together.
+``Study(...)`` computes nothing. Iterating over a study yields its cycles one at a time, so that users can write their
+own loop. ``begin`` returns the parts of a cycle and the first state, for users who keep the state as well. ``prepare``
+builds what the parts need, such as a mesh, and checks that they fit together.
 """
 
 from __future__ import annotations
@@ -38,24 +38,24 @@ def _built_in(kind: str, name: str) -> Any:
 
 @dataclass(kw_only=True)
 class Study:
-    """All parts of a study and how long it goes on.
+    """All parts of a study and its number of cycles.
 
-    model, filter            what evolves, and what learns
-    readings                 where the numbers come from; ``Twin()``, which reads the truth, where nothing else is said
-    truth                    the model that a twin's readings come from; None: there is no truth, and nothing is scored
-    free                     the model of the free run, the first guess left alone; None: no free run
-    observer, policy         what would be read of a truth, and where the vehicles go: nothing, and nowhere
-    executor                 what steps the members: this process
-    start, speed             where the vehicles are at first, [[x, y], ...] in metres, and how fast they fly in m/s
+    model, filter            the forecast model, and the filter that corrects the forecast
+    readings                 the source of the readings; by default ``Twin()``, which reads the truth
+    truth                    the model that makes a twin's truth; None: there is no truth, and no score that needs one
+    free                     the model of the free run, the first guess without any correction; None: no free run
+    observer, policy         what is read of a truth, and where the vehicles go; by default nothing, and nowhere
+    executor                 steps the members; by default in this process
+    start, speed             the vehicles' first positions, [[x, y], ...] in metres, and their speed in m/s
     members, cycles, seed    the size N of the ensemble, the number of time steps, the seed of all random numbers
-    late_readings            what becomes of a late reading that the filter cannot look back to: ``drop`` or ``use`` now
-    record                   the variables of which run.nc keeps every member: none, parameters, all
+    late_readings            what to do with late readings from before the filter's window: ``drop`` or ``use`` now
+    record                   the variables for which run.nc keeps every member: none, parameters, all
     section                  corners [[x, y], ...] of the polyline of the section picture, in metres
     pictures                 whether a run of the study ends with its pictures
     name                     what the study is called in files, titles and messages
-    configuration            what the study was composed from by names and numbers; None: it was made in Python
+    configuration            the configuration that the study was made from; None: it was made in Python
 
-    Raises ConfigurationError where a part is of the wrong kind or the parts cannot go together.
+    Raises ConfigurationError if a part is of the wrong kind or the parts do not fit together.
     """
 
     model: Model
@@ -131,7 +131,7 @@ class Study:
 
     @property
     def model_configuration(self) -> Mapping[str, Any] | None:
-        """From what other processes can make the model; None for a model of a class that is not registered."""
+        """The configuration from which other processes can make the model; None if its class is not registered."""
         return registry().recipe(self.model) if self.configuration is None else self.configuration["model"]
 
     @plugins_named()
@@ -162,7 +162,7 @@ class Study:
         for role, asked in self.models.items():
             try:
                 asked.require_available()
-            except ConfigurationError as error:  # the model was asked first
+            except ConfigurationError as error:  # the model's own check has passed before
                 raise type(error)(str(error) if role == "model" else f"{role}: {error}") from error
         vehicle = self._vehicle()
         self.observer.suit(model.space, model.dt)
@@ -187,7 +187,7 @@ class Study:
         return parts, vehicle
 
     def _vehicle(self) -> Vehicle:
-        """Return the vehicles at their start; raises ConfigurationError where one cannot be there."""
+        """Return the vehicles at their start; raises ConfigurationError if a position is not allowed."""
         domain = self.model.domain
         positions = np.array(self.start, dtype=np.float64).reshape(-1, 2)
         for number, position in enumerate(positions):
@@ -202,7 +202,7 @@ class Study:
         return Vehicle(positions, self.speed, self.model.dt, domain)
 
     def _require_memory(self) -> None:
-        """Raise ConfigurationError where the ensemble and the past that the filter looks back to cannot be held."""
+        """Raise ConfigurationError if the ensemble and the past that the filter looks back to do not fit in memory."""
         state = 8.0 * self.members * self.model.space.size
         window = self.cycles if self.filter.window is None else self.filter.window
         beliefs = window if self.filter.past_beliefs == "all" or self.filter.window is not None else 1
@@ -216,8 +216,8 @@ class Study:
     def begin(self) -> tuple[Parts, State]:
         """Build the parts, start the executor and draw the first belief.
 
-        For those who own the state: ``advance(parts, state)`` is one cycle, and the ``state`` of what it returns what
-        the next one goes on from. ``parts.executor`` is to be closed at the end, where it is more than this process.
+        Use it to keep the state yourself: ``advance(parts, state)`` computes one cycle, and the ``state`` of the
+        returned cycle is the input of the next. Close ``parts.executor`` at the end if it uses other processes.
         """
         parts, vehicle = self.prepare()
         parts.executor.start(parts.model, self.model_configuration)
@@ -228,7 +228,7 @@ class Study:
             raise
 
     def __iter__(self) -> Iterator[Cycle]:
-        """Run the study and give its cycles one at a time; nothing is written."""
+        """Run the study and yield its cycles one at a time; nothing is written."""
         parts, state = self.begin()
         with parts.executor:
             for _ in range(self.cycles):

@@ -1,4 +1,4 @@
-"""Opening what a multirun left behind: one lazy Dataset over all of its runs, the swept parameters as dimensions."""
+"""Opening a multirun: one lazy Dataset over all of its runs, with the swept parameters as dimensions."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ if TYPE_CHECKING:
     import xarray
 
 RECORD = "multirun.yaml"
-"""The file in which Hydra keeps what a multirun was asked for."""
+"""The file in which Hydra stores the request of a multirun."""
 SPARSEST = 100
-"""A grid with so many times more places than there are runs is none."""
+"""If the grid has this many times more places than there are runs, the runs do not form a grid."""
 
 
 def open_sweep(path: str | Path) -> xarray.Dataset:
     """Open the folder of a multirun as one lazy Dataset, with a dimension for each parameter that was swept.
 
-    The coordinates of a dimension are the parameter's values as int, float, bool or str. ``status`` and ``folder`` say
-    of every run how it ended (``complete``, ``interrupted``, ``failed``, or ``missing``: it left no word) and where it
-    is. What a run does not have is NaN, in texts '': all of a run that is missing, rows of one that ended early,
-    members and nodes of one that has fewer. What has no time and is the same in all runs, such as a mesh, is there
-    once. Runs with other time steps are side by side row by row, their times in ``row_time``. Close it when done, or
-    use it as a context.
+    The coordinates of a dimension are the parameter's values as int, float, bool or str. For every run ``status`` says
+    how it ended (``complete``, ``interrupted``, ``failed``, or ``missing`` if it left no summary) and ``folder`` where
+    it is. Values that a run does not have are NaN, or '' for texts: all values of a missing run, the later rows of a
+    run that ended early, the further members and nodes of a run that has fewer. Variables without time that are the
+    same in all runs, such as a mesh, are stored once. Runs with different time steps are aligned by row, and
+    ``row_time`` holds their times. Close the Dataset when done, or use it in a ``with`` block.
 
-    Raises RunError where there is no multirun, or its runs cannot be put into one grid.
+    Raises RunError if the folder is not a multirun, or its runs cannot be put into one grid.
     """
     from dafw.core.grid_of_runs import join
 
@@ -60,7 +60,7 @@ def open_sweep(path: str | Path) -> xarray.Dataset:
 
 
 def sweep_folder(path: Path) -> Path:
-    """Return the folder of a multirun from itself or its multirun.yaml; raises RunError where there is none."""
+    """Return the folder of a multirun, given the folder or its multirun.yaml; raises RunError if it is not one."""
     folder = path.parent if path.name == RECORD else path
     if (folder / "run.nc").exists():
         raise RunError(f"{path}: is a single run, not a multirun")
@@ -70,19 +70,19 @@ def sweep_folder(path: Path) -> Path:
 
 
 def is_sweep(folder: Path) -> bool:
-    """Tell whether a folder is that of a multirun."""
+    """Return whether a folder is that of a multirun."""
     return (folder / RECORD).is_file()
 
 
 def run_folders(folder: Path) -> Iterator[Path]:
-    """Give the folders of the jobs that have begun, in the order of their names."""
+    """Yield the folders of the jobs that have begun, in the order of their names."""
     for overrides in sorted(folder.rglob(".hydra/overrides.yaml")):
         yield overrides.parent.parent
 
 
 @dataclass(frozen=True)
 class _Job:
-    """One job of a multirun: what it was told, by name; its typed values; its folder, if it has begun."""
+    """One job of a multirun: its overrides by name, its typed values, and its folder if it has begun."""
 
     words: Mapping[str, str]
     values: Mapping[str, Any]
@@ -101,7 +101,7 @@ class _Job:
 
 
 def _jobs(folder: Path) -> tuple[list[_Job], list[str]]:
-    """Return the jobs that were asked for or have begun, and the names of the parameters in which they differ."""
+    """Return the jobs that were requested or have begun, and the names of the parameters in which they differ."""
     from dafw.core.composition import single_runs
 
     asked = _texts(folder / RECORD, "hydra", "overrides", "task")
@@ -139,7 +139,7 @@ def _parsed(words: Sequence[str]) -> list[Any]:
 
 
 def _texts(file: Path, *keys: str) -> list[str]:
-    """Return a list of texts in a YAML file, under nested keys; empty where it is not there."""
+    """Return a list of texts in a YAML file, under nested keys; empty if the file or the key does not exist."""
     import yaml
 
     try:
@@ -156,7 +156,7 @@ def _value(name: str, jobs: Sequence[_Job], text: str) -> Any:
 
 
 def _typed(values: Sequence[tuple[str, Any]]) -> np.ndarray:
-    """Return the values of a parameter as bool, int or float where all of them are, otherwise as they were written."""
+    """Return the values of a parameter as bool, int or float if all have that type, otherwise as written."""
     kinds = {type(value) for _, value in values}
     for accepted, dtype in (({bool}, np.bool_), ({int}, np.int64), ({int, float}, np.float64)):
         if kinds <= accepted:
@@ -165,7 +165,7 @@ def _typed(values: Sequence[tuple[str, Any]]) -> np.ndarray:
 
 
 def _opened(job: _Job) -> xarray.Dataset | None:
-    """Return a run, lazily; None where there is nothing that can be read."""
+    """Open a run lazily; return None if there is no file that can be read."""
     try:
         return None if job.folder is None else open_run(job.folder).chunk()
     except DafwError:

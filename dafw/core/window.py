@@ -1,4 +1,4 @@
-"""What filters that look back and policies that look ahead are handed: ``Window`` and ``Outlook``."""
+"""The arguments of filters that look back and of policies that look ahead: ``Window`` and ``Outlook``."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class PastCycle:
-    """One cycle of the past: what was believed at its beginning, and what was read until its end.
+    """One cycle of the past: the belief at its beginning, and the readings up to its end.
 
-    ``number`` counts the cycles from 0. ``belief`` is as the filter last revised it, with the model's memory; None
-    where the filter does not need it. ``observation`` holds the readings known by now, late ones included; it has no
-    values in a silent cycle.
+    ``number`` counts the cycles from 0. ``belief`` is the belief as last revised, with the model's memory; None if
+    the filter does not need it. ``observation`` holds the readings known by now, late ones included; it is empty for
+    a cycle without readings.
     """
 
     number: int
@@ -31,7 +31,7 @@ class PastCycle:
     observation: Observation
 
     def with_readings(self, late: Observation) -> PastCycle:
-        """Return the cycle with late readings added to those that it had."""
+        """Return the cycle with late readings added."""
         added = [one for one in (self.observation, late) if one.values.size]
         return replace(self, observation=merged_observations(added, self.observation.time))
 
@@ -42,12 +42,12 @@ class PastCycle:
 
 @dataclass(frozen=True, eq=False)
 class Window:
-    """What a filter that looks back is handed.
+    """The argument of a filter that looks back.
 
     ``cycles`` are the cycles of the window, the present one last. ``forecast`` is the ensemble at the end of the
     present cycle, with the model's memory; its members predict ``predicted`` (N, m) of the present ``observation``.
-    ``late`` are readings that arrived in this cycle and belong to earlier ones, by the cycle's number; they are in
-    ``cycles`` already. ``memory`` is the filter's own, ``rerun`` runs the model again.
+    ``late`` are readings that arrived in this cycle and belong to earlier ones, keyed by the cycle's number; ``cycles``
+    contain them already. ``memory`` is the filter's own, ``rerun`` runs the model again.
     """
 
     cycles: tuple[PastCycle, ...]
@@ -64,16 +64,16 @@ class Window:
 
     @property
     def first(self) -> Forecast:
-        """The belief at the beginning of the window; raises ContractError where the filter asked for none."""
+        """The belief at the beginning of the window; raises ContractError if the filter did not ask for it."""
         belief = self.cycles[0].belief
         if belief is None:
             raise ContractError("the window holds no belief at its beginning")
         return belief
 
     def belief_after(self, number: int) -> Forecast:
-        """Return the belief at the end of cycle ``number``: the forecast after the present one.
+        """Return the belief at the end of cycle ``number``; at the end of the present cycle it is the forecast.
 
-        Raises ContractError where the window does not hold it.
+        Raises ContractError if the window does not hold it.
         """
         place = number + 1 - self.cycles[0].number
         belief = self.forecast if place == len(self.cycles) else None
@@ -97,7 +97,7 @@ class Window:
         """Run members from the beginning of the window to now, and predict all its readings.
 
         ``start`` is an ensemble at the beginning of the window; None: the belief there. ``stacked()`` of the result
-        are the predictions (N, M) of ``values``.
+        returns the predictions (N, M) of ``values``.
         """
         operators = {cycle.number: cycle.observation.operator for cycle in self.cycles}
         first, last = self.cycles[0].number, self.cycles[-1].number + 1
@@ -106,7 +106,7 @@ class Window:
 
 @dataclass(frozen=True, eq=False)
 class Outlook:
-    """What a policy that looks ahead is handed: the belief with the model's memory, the vehicle, and a view ahead.
+    """The argument of a policy that looks ahead: the belief with the model's memory, the vehicle, and forecasts.
 
     ``cycle`` is the number of the cycle that begins; ``memory`` is the policy's own.
     """
@@ -120,11 +120,11 @@ class Outlook:
     def ahead(
         self, n_cycles: int, operators: Sequence[ObservationOperator] | None = None, *, members: Array | None = None
     ) -> Replay:
-        """Run the belief on for ``n_cycles`` cycles, in random streams that are for planning alone.
+        """Forecast the belief for ``n_cycles`` cycles, with random streams that are used for planning alone.
 
-        ``operators``, one for each cycle, are what would be read at the end of it: the result's ``predicted`` holds
-        the readings by the number of the cycle. Without operators the result's ``states`` are the ensembles after
-        each cycle. ``members`` (M, n) run on instead of the belief's, with the model's memory made anew.
+        ``operators``, one for each cycle, are applied at the end of it; ``predicted`` of the result holds the
+        readings, keyed by the number of the cycle. Without operators ``states`` of the result are the ensembles after
+        each cycle. If ``members`` (M, n) are given, they are forecast instead of the belief's, with new model memory.
         """
         start = self.belief if members is None else self.belief.ensemble.with_members(members)
         last = self.cycle + n_cycles

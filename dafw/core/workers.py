@@ -113,7 +113,7 @@ def serve(descriptor: int) -> None:
         done = function(*arguments)
         sys.stdout.flush()
         if awaited:
-            with contextlib.suppress(OSError):  # nobody is there any more, which ``_listen`` sees
+            with contextlib.suppress(OSError):  # the main process is gone; ``_listen`` notices that
                 connection.send(done)
 
 
@@ -161,7 +161,7 @@ class Worker:
 
     def tell(self, function: Callable[..., Any], *arguments: Any) -> None:
         """Run ``function(*arguments)`` in the worker and discard the result; it must be of an importable module."""
-        with contextlib.suppress(OSError):  # that the worker is gone is noticed when its next result is waited for
+        with contextlib.suppress(OSError):  # a lost worker is noticed when its next result is awaited
             self.connection.send((function, arguments, False))
 
     def ask(self, function: Callable[..., Outcome], *arguments: Any) -> None:

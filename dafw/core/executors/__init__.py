@@ -1,8 +1,8 @@
 """Where members are stepped: in this process, in worker processes, on a dask cluster.
 
-An executor stands between whoever wants members stepped (the cycle, a re-run) and ``Model.step_with_memory``. The
-members are cut into contiguous batches, every batch has its members' own random streams and memory, and what comes
-back is put together in member order: the bits are the same whichever executor it was and however many workers it had.
+The cycle and re-runs call an executor, and the executor calls ``Model.step_with_memory``. It cuts the members into
+contiguous batches. Every batch has its members' own random streams and memory, and the results are put together in
+member order. So the bits do not depend on the executor or on the number of workers.
 """
 
 from __future__ import annotations
@@ -17,18 +17,18 @@ from dafw.core.plugin import Plugin
 
 
 class Executor(Plugin):
-    """Steps the members of an ensemble. Authors define ``begin``, and where they need them the rest.
+    """Steps the members of an ensemble. Authors define ``begin``, and the other methods if they need them.
 
-    ``start`` before the first step, ``close`` after the last; as a context it closes itself.
+    ``start`` is called before the first step, ``close`` after the last; a ``with`` block closes the executor.
     """
 
     kind = "executor"
 
     def start(self, model: Model, config: Mapping[str, Any] | None) -> None:
-        """Make ready to step ``model``, which the registry can make anew from ``config``.
+        """Prepare to step ``model``, which the registry can make again from ``config``.
 
-        ``config`` is None for a model that was made in Python and that no registry knows: an executor that cannot
-        step such a model raises ConfigurationError.
+        ``config`` is None for a model that was made in Python and is not registered. An executor that cannot step
+        such a model raises ConfigurationError.
         """
 
     def width(self) -> int:
@@ -36,29 +36,29 @@ class Executor(Plugin):
         return 1
 
     def begin(self, model: Model, batches: Sequence[Batch]) -> Callable[[], Sequence[Stepped]]:
-        """Begin to step the batches; calling what comes back waits for all of them and gives them in order.
+        """Start stepping the batches; return a function that waits for them and returns the results in order.
 
-        Several may be under way at once, waited for in any order, or never. The call raises what the model raises,
-        and ComputationError where workers are lost again and again.
+        Several calls may be under way at once; their results may be fetched in any order, or never. The returned
+        function raises what the model raises, and ComputationError if workers are lost repeatedly.
         """
         raise NotImplementedError(f"{self.label} must define begin(model, batches)")
 
     def submit(self, model: Model, batch: Batch) -> Callable[[], Stepped]:
-        """Begin to step all members of ``batch``; calling what comes back waits for them and gives them."""
+        """Start stepping all members of ``batch``; return a function that waits for them and returns the result."""
         width = self.width()
         batches = [batch] if width == 1 else split(model, batch, width)
         stepped = self.begin(model, batches)
         return lambda: join(model, batches, stepped())
 
     def copies(self) -> int:
-        """Return how often the members are held on this machine besides in the process that runs the study.
+        """Return how many copies of the members this machine holds outside the process that runs the study.
 
-        A worker process holds its batch as it came, as it was stepped and as it goes back.
+        A worker process holds its batch three times: as received, as stepped and as sent back.
         """
         return 0
 
     def close(self) -> None:
-        """End whatever ``start`` began."""
+        """Release everything that ``start`` acquired, such as worker processes."""
 
     def __enter__(self) -> Self:
         return self

@@ -19,11 +19,11 @@ from dafw.core.space import Array
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """All that some neighbouring members need to be stepped: nothing in it knows of the others.
+    """Everything needed to step a group of neighbouring members, independently of all other members.
 
     ``members`` (k, n) start at ``t`` seconds with the model's ``memory`` and are stepped ``n_steps`` times, with the
-    streams ``rng`` of the first step and those of the cycles after it. ``operators`` are applied to the members after
-    so many steps (1 ... n_steps). ``keep``: hand out the members after every step, not only after the last.
+    streams ``rng`` of the first step and those of the cycles after it. ``operators`` are keyed by the number of steps
+    (1 ... n_steps) after which they are applied. ``keep``: return the members after every step, not only the last.
     ``first`` is the number of the first member.
     """
 
@@ -45,7 +45,7 @@ class Batch:
 
 @dataclass(frozen=True, eq=False)
 class Stepped:
-    """What comes of a batch: its last step, or all where they are kept; ``predicted`` (k, m) by number of steps."""
+    """The result of a batch: its last step, or all if kept; ``predicted`` (k, m) keyed by the number of steps."""
 
     steps: tuple[Step, ...]
     predicted: Mapping[int, Array] = field(default_factory=dict)
@@ -82,9 +82,9 @@ def _stepped(model: Model, batch: Batch) -> Stepped:
 
 
 def split(model: Model, batch: Batch, count: int) -> list[Batch]:
-    """Cut a batch into at most ``count``, in sizes that differ by one at most.
+    """Split a batch into at most ``count`` batches whose sizes differ by at most one.
 
-    Raises ContractError where the model's memory cannot be cut.
+    Raises ContractError if the model's memory cannot be split.
     """
     n_members = len(batch.members)
     for name, array in (batch.memory or {}).items():
@@ -105,9 +105,10 @@ def split(model: Model, batch: Batch, count: int) -> list[Batch]:
 
 
 def join(model: Model, batches: Sequence[Batch], stepped: Sequence[Stepped]) -> Stepped:
-    """Put what came of the batches together in member order.
+    """Concatenate the results of the batches in member order.
 
-    Diagnostics and memory come from the members; raises ContractError where batches disagree on what is not.
+    Diagnostics and memory with a member axis are concatenated; everything else must be the same in all batches,
+    otherwise ContractError is raised.
     """
     if len(stepped) == 1:
         return stepped[0]

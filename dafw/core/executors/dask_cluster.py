@@ -1,7 +1,7 @@
-"""Executor ``dask``: workers of a dask cluster, on this machine or wherever a scheduler has some.
+"""Executor ``dask``: workers of a dask cluster, on this machine or at a scheduler's address.
 
-Every worker keeps the model in a module of its own, not in an actor: a worker that is lost takes nothing with it, and
-dask has its batch done again by another.
+Every worker process keeps the model in a module variable, not in a dask actor. So nothing is lost with a worker: dask
+runs its batch again on another.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ log = logging.getLogger("dafw")
 
 @dataclass
 class Dask(Executor):
-    """A cluster of this machine's own, or the scheduler at an address."""
+    """Workers of a new cluster on this machine, or of the scheduler at an address."""
 
     address: str | None = option(None, "scheduler, such as tcp://10.0.0.1:8786; null: a cluster on this machine")
     workers: int | None = option(
@@ -52,7 +52,7 @@ class Dask(Executor):
             raise ConfigurationError(f"{self.label} needs the package distributed: install dafw[dask]")
 
     def start(self, model: Model, config: Mapping[str, Any] | None) -> None:
-        """Start the cluster or connect to it; raises ConfigurationError where nobody answers."""
+        """Start the cluster or connect to it; raises ConfigurationError if the scheduler does not answer."""
         import dask
         from distributed import Client, LocalCluster
 
@@ -68,7 +68,7 @@ class Dask(Executor):
                     n_workers=count,
                     threads_per_worker=1,
                     host="127.0.0.1",
-                    # No dashboard. But its port is opened all the same: any that is free, for several runs at once.
+                    # dask opens a port even without a dashboard. Any free one, so that several runs do not collide.
                     dashboard_address="127.0.0.1:0",
                     scheduler_kwargs={"dashboard": False},
                     memory_limit=0,
@@ -94,18 +94,18 @@ class Dask(Executor):
         return max(1, self._batches)
 
     def copies(self) -> int:
-        """Return how often the members are held in workers of this machine."""
+        """Return how many copies of the members the workers on this machine hold."""
         return 0 if self.address else 3
 
     def begin(self, model: Model, batches: Sequence[Batch]) -> Callable[[], Sequence[Stepped]]:
-        """Hand the batches to the scheduler; what comes back waits for all of them."""
+        """Hand the batches to the scheduler; return a function that waits for all of them."""
         if self._client is None:
             raise ConfigurationError(f"{self.label} was not started: call its start(model, config) first")
         import dask
 
         there = self._addresses()
         futures = []
-        # A batch goes where it went before, if that worker is there and free: matrices may still be kept there.
+        # Prefer the worker that had the batch before, if it is free: it may still hold the matrices of these members.
         with dask.config.set({"distributed.admin.large-graph-warning-threshold": "100 GB"}):
             for number, batch in enumerate(batches):
                 where = {"workers": [there[number % len(there)]], "allow_other_workers": True} if there else {}
@@ -131,7 +131,7 @@ class Dask(Executor):
         return outcome
 
     def close(self) -> None:
-        """Leave the cluster, and end it where it is our own."""
+        """Disconnect from the cluster; end it if this executor started it."""
         client, cluster, self._client, self._cluster = self._client, self._cluster, None, None
         for thing in (client, cluster):
             if thing is not None:

@@ -1,7 +1,7 @@
 """Executor ``processes``: long-lived worker processes of this machine, each with its own model and solvers.
 
-A worker is told the model's configuration and the batches, nothing else. It takes them in the order in which they were
-handed over; a ``_Order`` is what one call of ``begin`` waits for, so that several can be under way at once.
+A worker is sent the model's configuration and the batches, nothing else. It steps the batches in the order in which
+they were sent. An ``_Order`` collects the results of one call of ``begin``, so that several can be under way at once.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ log = logging.getLogger("dafw")
 
 @dataclass(eq=False)
 class _Order:
-    """The batches of one call of ``begin``, and what has come back of them by their number."""
+    """The batches of one call of ``begin``, and the results received so far by batch number."""
 
     batches: Sequence[Batch]
     outcomes: dict[int, Outcome] = field(default_factory=dict)
@@ -37,7 +37,7 @@ class _Order:
 
 @dataclass(eq=False)
 class _Place:
-    """A worker, and the batches that it was handed and has not given back, in that order."""
+    """A worker, and the batches that were sent to it and are not finished, in the order of sending."""
 
     worker: Worker
     waiting: deque[tuple[_Order, int]] = field(default_factory=deque)
@@ -59,11 +59,11 @@ class Processes(Executor):
         return {"workers": 2}
 
     def start(self, model: Model, config: Mapping[str, Any] | None) -> None:
-        """Start the workers; they build their models while the main process goes on."""
+        """Start the workers; they build their models while the main process continues."""
         self.close()
         if config is None:
             raise ConfigurationError(needs_registered(self, model))
-        # Started first: they load their libraries while this process finds out what they must agree on.
+        # Start them first: they load their libraries while this process determines the model's pinned options.
         self._pool = [_Place(Worker()) for _ in range(self.workers or cores())]
         self._config = merged(config, model.pinned_options())
         for place in self._pool:
@@ -76,15 +76,16 @@ class Processes(Executor):
         return max(1, len(self._pool))
 
     def copies(self) -> int:
-        """Return how often the members are held in workers of this machine."""
+        """Return how many copies of the members the workers on this machine hold."""
         return 3
 
     def begin(self, model: Model, batches: Sequence[Batch]) -> Callable[[], Sequence[Stepped]]:
-        """Hand a batch to each worker; what comes back waits for all of them."""
+        """Send a batch to each worker; return a function that waits for all of them."""
         if not self._pool:
             raise ConfigurationError(f"{self.label} was not started: call its start(model, config) first")
         order = _Order(batches)
-        # Those with the least to do first; among equals in their order, so that a member meets its kept matrices.
+        # The least busy workers come first. Equally busy ones keep their order, so that the same members go to the
+        # same worker each time and find their cached matrices there.
         places = sorted(self._pool, key=lambda place: len(place.waiting))
         for number, batch in enumerate(batches):
             place = places[number % len(places)]
@@ -96,7 +97,7 @@ class Processes(Executor):
         while order.error is None and len(order.outcomes) < len(order.batches):
             owing = {place.worker.connection: place for place in self._pool if place.waiting}
             for connection in wait(list(owing)):
-                place = owing[connection]  # type: ignore[index]  # wait gives back what it was given
+                place = owing[connection]  # type: ignore[index]  # wait returns the objects it was given
                 outcome = place.worker.receive()
                 if outcome is None:
                     self._replace(place)
@@ -109,7 +110,7 @@ class Processes(Executor):
         return [order.outcomes[number].get() for number in range(len(order.batches))]
 
     def _replace(self, place: _Place) -> None:
-        """Put a new worker where one was lost, and hand it all that waits; an order that loses too many has failed."""
+        """Replace a lost worker and send its unfinished batches to the new one; fail an order that loses too many."""
         order, number = place.waiting[0]
         order.lost += 1
         batch = order.batches[number]

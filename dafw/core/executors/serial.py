@@ -12,9 +12,9 @@ from dafw.core.interfaces.model import Model
 
 @dataclass
 class Serial(Executor):
-    """In this process; nothing to configure."""
+    """Steps the members in this process; has no options."""
 
     def begin(self, model: Model, batches: Sequence[Batch]) -> Callable[[], Sequence[Stepped]]:
-        """Do the model's own steps; return a function that gives them."""
+        """Step the batches at once; return a function that returns the results."""
         stepped = [step_members(model, batch) for batch in batches]
         return lambda: stepped

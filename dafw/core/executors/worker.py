@@ -1,6 +1,6 @@
-"""What runs where members are stepped outside the main process: a model, built once, and steps of batches.
+"""The code that runs in a worker of an executor: it builds the model once and steps batches.
 
-A worker knows its model by configuration alone. It keeps no result: what a step starts from comes with the batch.
+A worker builds its model from the configuration alone. It keeps no result: each batch brings all that a step needs.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from dafw.core.interfaces.model import Model
 from dafw.core.workers import Outcome, outcome
 
 _MODELS: dict[bytes, Model] = {}
-"""The model of this process, by its configuration; the one before is given up."""
-_ONE_AT_A_TIME = threading.Lock()  # a dask worker may have several threads, solvers have not
+"""The model of this process, by its configuration; only the last one is kept."""
+_ONE_AT_A_TIME = threading.Lock()  # a dask worker may have several threads, but the solvers are not thread-safe
 
 
 def step_batch(config: Mapping[str, Any], batch: Batch) -> Outcome:
@@ -31,12 +31,12 @@ def step_batch(config: Mapping[str, Any], batch: Batch) -> Outcome:
 
 
 def _stepped(config: Mapping[str, Any], batch: Batch) -> Stepped:
-    # Read-only, as the main process would hand them over.
+    # Read-only, as they are in the main process, so that a model that changes its inputs fails here too.
     return step_members(built(config), replace(batch, members=freeze(batch.members)))
 
 
 def built(config: Mapping[str, Any]) -> Model:
-    """Return this process's model, made where it is not there yet; raises a DafwError."""
+    """Return this process's model, which is made on the first call; raises a DafwError."""
     from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
     from dafw.core.registry import registry
@@ -45,9 +45,9 @@ def built(config: Mapping[str, Any]) -> Model:
     if key not in _MODELS:
         _MODELS.clear()
         model: Model = registry().create("model", config)
-        _ = model.space  # a mesh, where there is one: now, not in the first step
+        _ = model.space  # makes the mesh, if there is one, now and not in the first step
         _MODELS[key] = model
-        # For the life of the process; what is loaded later reads the environment, which says the same.
+        # For the life of the process. Libraries loaded later read the same limit from the environment.
         threadpool_limits(limits=1)
     return _MODELS[key]
 
@@ -58,12 +58,12 @@ def dask_setup(worker: object) -> None:
 
 
 def build_ahead(config: Mapping[str, Any]) -> None:
-    """Build the model before the first step; what goes wrong is met again there, and said."""
+    """Build the model before the first step. Errors are ignored here: the first step raises them again."""
     outcome("", partial(built, config))
 
 
 def needs_registered(executor: Executor, model: Model) -> str:
-    """Return what to say where workers are asked to step a model that they cannot make."""
+    """Return the error message for a model that workers cannot make, because it is not registered."""
     return (
         f"{executor.label} makes the model anew in each worker: expected one that a package registers, "
         f"got {model.label}, which was made in Python; use the executor 'serial'"

@@ -1,13 +1,14 @@
 """The interfaces of plugins: Model, Observer, Policy, Filter, and the source of Readings.
 
-An author's verb computes (``step``, ``operator``, ``decide``, ``analyse``, ``take``); the user's verb on the base class
-(``forecast``, ``look``, ``route``, ``update``, ``collect``) hands it read-only arrays, checks what comes back (shape,
+Each interface has two methods for the same task. The author of a plugin writes the one that computes (``step``,
+``operator``, ``decide``, ``analyse``, ``take``). The framework calls the one on the base class (``forecast``, ``look``,
+``route``, ``update``, ``collect``). It passes read-only arrays to the author's method, checks the result (shape,
 finiteness, space) and names the plugin in its error.
 
-Whatever a plugin must remember is explicit. A plugin that remembers overrides ``initial_memory`` and the verb whose
-name ends in ``_with_memory``; one that does not never hears of it. Random numbers come from the generator handed in.
-A filter that looks back and a policy that looks ahead define another verb (``analyse_window``, ``plan``), which is
-handed the past or the outlook, and the means to run the model again.
+What a plugin must remember is passed explicitly. A plugin that remembers overrides ``initial_memory`` and the method
+whose name ends in ``_with_memory``; all others need neither. Random numbers come from the generator that is passed in.
+A filter that looks back and a policy that looks ahead define another method (``analyse_window``, ``plan``), which is
+given the past or the outlook, and a way to run the model again.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Filter: how the belief changes once the readings are in."""
+"""Filter: how the readings change the belief."""
 
 from __future__ import annotations
 
@@ -17,16 +17,18 @@ if TYPE_CHECKING:
 
 
 class Filter(Plugin):
-    """How the belief changes once the readings are in.
+    """How the readings change the belief.
 
-    ``accuracy`` says how the mean and covariance of an analysis agree with the Kalman filter's where all is linear and
-    Gaussian: ``exact`` for the sample at hand, ``statistical`` in the limit of many members, or ``none``: no claim.
-    ``localization_option`` names the option that is the localization radius in metres, where there is one, and
-    ``inflation_option`` the one that is the factor on the anomalies; None for a filter whose ``inflation`` is another.
+    ``accuracy`` says how the mean and covariance of an analysis agree with the Kalman filter's for a linear model with
+    Gaussian errors: ``exact`` for the given sample, ``statistical`` in the limit of many members, ``none``: no claim.
+    ``localization_option`` names the option that is the localization radius in metres, if there is one.
+    ``inflation_option`` names the option that is the factor on the anomalies; None if there is none, or if the
+    filter's ``inflation`` means something else.
 
-    A filter that looks back says over how many cycles, the present one included, by ``window``; None: since the start.
-    It defines ``analyse_window`` instead of ``analyse``. ``past_beliefs`` says whether it needs the beliefs at the
-    beginning of all cycles of its window or, since the start, of the first alone, which takes far less memory.
+    A filter that looks back defines ``analyse_window`` instead of ``analyse``. Its ``window`` is the number of cycles
+    that it looks back over, the present one included; None: all since the start. ``past_beliefs`` says whether it
+    needs the belief at the beginning of every cycle of the window, or (with ``window`` None) only that at the
+    beginning of the first, which takes far less memory.
 
     >>> class Midway(Filter):
     ...     def analyse(self, forecast, predicted, observation, rng):
@@ -54,7 +56,7 @@ class Filter(Plugin):
         raise NotImplementedError(f"{self.label} must define analyse(forecast, predicted, observation, rng)")
 
     def initial_memory(self, n_members: int) -> Memory | None:
-        """Return what the first analysis must be told."""
+        """Return the memory that the first analysis is given."""
         return None
 
     def analyse_with_memory(
@@ -69,14 +71,14 @@ class Filter(Plugin):
         return self.analyse(forecast, predicted, observation, rng)
 
     def analyse_window(self, window: Window, rng: np.random.Generator) -> Analysis:
-        """Return the analysis of a filter that looks back over a window of cycles, with its memory in the window.
+        """Return the analysis of a filter that looks back over a window of cycles; ``window.memory`` is its memory.
 
-        It may hand out revised beliefs of earlier times, and the model's memory that goes with the new members.
+        The analysis may hold revised beliefs at earlier times, and the model's memory that belongs to the new members.
         """
         raise NotImplementedError(f"{self.label} has a window and must define analyse_window(window, rng)")
 
     def suit(self, space: StateSpace, n_members: int) -> None:
-        """Raise ConfigurationError where the filter does not go with a state space or a number of members."""
+        """Raise ConfigurationError if the filter cannot work with a state space or a number of members."""
 
     def require_members(self, n_members: int) -> None:
         """Raise ConfigurationError where the filter cannot work with so few members."""
@@ -93,9 +95,9 @@ class Filter(Plugin):
         memory: Memory | None,
         rng: np.random.Generator,
     ) -> Analysis:
-        """Analyse and check; with no readings at all the forecast, brought into the state's set, is the analysis.
+        """Analyse and check. Without readings the analysis is the forecast, moved into the range of each variable.
 
-        Raises ContractError where the analysis is not as agreed, DivergenceError where the filter's linear algebra
+        Raises ContractError if the analysis breaks the interface, DivergenceError if the filter's linear algebra
         fails or its numbers are far beyond what the model can produce.
         """
         if observation.values.size == 0:
@@ -109,7 +111,7 @@ class Filter(Plugin):
         return self._checked_analysis(analysis, forecast)
 
     def look_back(self, window: Window, rng: np.random.Generator) -> Analysis:
-        """Analyse a window and check, as ``update`` does; with nothing new in it the forecast is the analysis."""
+        """Analyse a window and check, as ``update`` does; without new readings the analysis is the forecast."""
         forecast = window.forecast.ensemble
         if window.observation.values.size == 0 and not window.late:
             return self._unchanged(forecast, window.memory)
@@ -131,12 +133,12 @@ class Filter(Plugin):
         return checked
 
     def _unchanged(self, forecast: Ensemble, memory: Memory | None) -> Analysis:
-        """Return the forecast, brought into the state's set."""
+        """Return the forecast, moved into the range of each variable (angles to [0, 2 pi), for example)."""
         members = forecast.space.retract(forecast.members, np.zeros(forecast.space.size))
         return Analysis(members, memory, weights=forecast.weights)
 
     def _algebra_failed(self, forecast: Ensemble, error: Exception) -> DivergenceError:
-        """Return an error that says where the forecast is farthest from sense."""
+        """Return an error that names the most extreme number of the forecast."""
         return DivergenceError(
             f"{self.label}: its linear algebra failed ({error}); the forecast's most extreme number is "
             f"{described(forecast.space, forecast.members)}"

@@ -42,14 +42,15 @@ class Model(Plugin):
         raise NotImplementedError(f"{self.label} must define step(members, t, rng)")
 
     def settled(self, members: Array) -> Array:
-        """Return members (N, n) at the start whose fields are those that follow from their single numbers.
+        """Return members (N, n) at the start with their fields recomputed from their parameters.
 
-        A filter that moves the place of a release asks for the cloud that goes with it. Default: nothing follows.
+        A filter that moves the place of a release calls this to get the cloud of the new place. By default no field
+        depends on a parameter.
         """
         return members
 
     def notes(self) -> list[str]:
-        """Return sentences for the log about what the model was made of."""
+        """Return sentences for the log about what the model was built from."""
         return []
 
     def share_with(self, shared: Shared) -> None:
@@ -67,17 +68,17 @@ class Model(Plugin):
         raise ConfigurationError(f"{self.label} works in one process: mpirun brings nothing, run it without")
 
     def require_available(self) -> None:
-        """Raise ConfigurationError where something that the options name is not there; asked before a run begins."""
+        """Raise ConfigurationError if something that the options name does not exist; called before a run begins."""
 
     def pinned_options(self) -> Mapping[str, Any]:
-        """Return options to lay over the configured ones so that other processes make the very same model.
+        """Return options that override the configured ones, so that other processes make exactly the same model.
 
-        That is what a configuration leaves open: "the newest basis" is by now one of a certain name.
+        They settle what the configuration leaves open: instead of "the newest basis", the name of that basis.
         """
         return {}
 
     def initial_memory(self, members: Array) -> Memory | None:
-        """Return what a step of these members (N, n) must be told; arrays have the members on axis 0."""
+        """Return the memory that the first step of these members (N, n) needs; arrays have the members on axis 0."""
         return None
 
     def step_with_memory(self, members: Array, memory: Memory | None, t: float, rng: MemberStreams) -> Step:
@@ -90,13 +91,13 @@ class Model(Plugin):
         return Forecast(Ensemble(members, self.space), self.initial_memory(members))
 
     def forecast(self, ensemble: Ensemble, memory: Memory | None, rng: MemberStreams) -> Forecast:
-        """Step the ensemble by dt; raises ContractError where shape or numbers are not as agreed."""
+        """Step the ensemble by dt; raises ContractError if the result has another shape or is not finite."""
         return self.stepped(ensemble, self.step_with_memory(ensemble.members, memory, ensemble.time, rng))
 
     def stepped(self, ensemble: Ensemble, step: Step) -> Forecast:
-        """Check and wrap what a step of the ensemble gave, whoever took it; the members keep their weights.
+        """Check and wrap the result of a step of the ensemble, made in any process; the members keep their weights.
 
-        Raises ContractError, and DivergenceError where numbers are far beyond what the model can produce.
+        Raises ContractError, and DivergenceError if numbers are far beyond what the model can produce.
         """
         members = self.checked_members(step.members, ensemble.members.shape, "members after a step", self.space)
         self.checked_diagnostics(step.diagnostics)

@@ -30,13 +30,13 @@ class Observer(Plugin):
     def operator(self, space: StateSpace, route: Route, t: float) -> ObservationOperator:
         """Return H and R of the readings of a state in ``space`` taken along ``route``.
 
-        The route begins at t (seconds) and takes ``route.dt`` seconds. What the observer has to report about it goes
-        with the operator as ``diagnostics``.
+        The route begins at t (seconds) and takes ``route.dt`` seconds. The observer may report numbers about it in the
+        ``diagnostics`` of the operator.
         """
         raise NotImplementedError(f"{self.label} must define operator(space, route, t)")
 
     def suit(self, space: StateSpace, dt: float) -> None:
-        """Raise ConfigurationError where the options do not go with a state space and a time step (seconds)."""
+        """Raise ConfigurationError if the options do not fit a state space and a time step (seconds)."""
 
     def look(self, space: StateSpace, route: Route, t: float) -> ObservationOperator:
         """Ask for the operator and check that it is one; raises ContractError."""

@@ -48,10 +48,10 @@ class Policy(Plugin):
         raise NotImplementedError(f"{self.label} looks ahead and must define plan(outlook, rng)")
 
     def suit(self, space: StateSpace) -> None:
-        """Raise ConfigurationError where the options do not go with a state space."""
+        """Raise ConfigurationError if the options do not fit a state space."""
 
     def initial_memory(self, vehicle: Vehicle) -> Memory | None:
-        """Return what the first decision must be told."""
+        """Return the memory that the first decision is given."""
         return None
 
     def decide_with_memory(

@@ -1,4 +1,4 @@
-"""Readings: where the numbers come from that a filter is told."""
+"""Readings: the source of the measured values that a filter is given."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from dafw.core.space import StateSpace
 
 @dataclass(frozen=True, eq=False)
 class Request:
-    """What a source is asked for: all that became known after ``start`` and by ``end`` (seconds), late readings too.
+    """What a source is asked for: all readings that arrived after ``start`` and by ``end`` (s), late ones included.
 
     ``operator`` is what the observer would read at ``end`` on the route that was flown. ``truth`` is the one member of
     the truth at ``end``, in the belief's ``space``; None in a study without a truth. ``cycle`` counts from 0.
@@ -43,10 +43,10 @@ class Taken:
 
 
 class Readings(Plugin):
-    """Where the numbers come from: from a truth, a file, an instrument.
+    """A source of readings: a truth, a file, an instrument.
 
-    Each observation has its own time. What lies after ``start`` and up to ``end`` belongs to the cycle that asks; what
-    is older came late. A source that says ``needs_truth = True`` is handed the truth.
+    Each observation has its own time. Readings taken after ``start`` and up to ``end`` belong to the present cycle;
+    older ones are late. A source with ``needs_truth = True`` is given the truth.
 
     >>> class Constant(Readings):
     ...     def take(self, request, rng):
@@ -66,14 +66,14 @@ class Readings(Plugin):
         return None
 
     def take(self, request: Request, rng: np.random.Generator) -> Sequence[Observation]:
-        """Return the readings that became known in the time of the request, none where there are none."""
+        """Return the readings that arrived in the time of the request; an empty sequence if there were none."""
         raise NotImplementedError(f"{self.label} must define take(request, rng)")
 
     def suit(self, space: StateSpace, domain: Domain | None, dt: float) -> None:
-        """Raise ConfigurationError where the options do not go with a state space, its places and a time step (s)."""
+        """Raise ConfigurationError if the options do not fit a state space, its domain and a time step (s)."""
 
     def initial_memory(self) -> Memory | None:
-        """Return what the first request must be told."""
+        """Return the memory that the first request is given."""
         return None
 
     def take_with_memory(self, request: Request, memory: Memory | None, rng: np.random.Generator) -> Taken:
@@ -81,7 +81,7 @@ class Readings(Plugin):
         return Taken(self.take(request, rng))
 
     def collect(self, request: Request, memory: Memory | None, rng: np.random.Generator) -> Taken:
-        """Ask for readings and check them: numbers, finite, none from the future; raises ContractError."""
+        """Ask for readings and check that they are finite numbers and not from the future; raises ContractError."""
         taken = self.take_with_memory(request, memory, rng)
         if not isinstance(taken, Taken) or not all(isinstance(one, Observation) for one in taken.observations):
             raise ContractError(f"{self.label}: expected observations, got {taken!r}")
