@@ -30,11 +30,11 @@ usage: dafw COMMAND [...]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command and return its exit status; a wrong request is one line on standard error."""
+    """Run a command and return its exit status; a wrong request prints one line on standard error."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")  # a terminal that knows no umlauts is no reason to fail
+            stream.reconfigure(errors="backslashreplace")  # a character the terminal cannot show is no error
     if not words or words[0] in ("-h", "--help", "help"):
         print(USAGE, end="")
         return 0 if words else 2
@@ -59,7 +59,7 @@ def _command(name: str) -> Callable[..., int]:
 
 
 def _ended(command: Callable[[], int]) -> tuple[int, str]:
-    """Return a command's exit status, and what is to be said where it failed."""
+    """Return a command's exit status, and the error message if it failed."""
     try:
         return command(), ""
     except KeyboardInterrupt as stop:
@@ -69,7 +69,7 @@ def _ended(command: Callable[[], int]) -> tuple[int, str]:
         return 1, ""
     except Exception as error:
         line = said(error)
-        if line is None:  # a fault of dafw's own: the traceback tells more
+        if line is None:  # a bug in dafw: print the traceback
             raise
         return status_of(error), line
 
@@ -82,7 +82,7 @@ def status_of(error: Exception) -> int:
 
 
 def said(error: Exception) -> str | None:
-    """Return a failure in one line; None where neither dafw expects it nor a plugin raised it."""
+    """Return the error as one line; None for an unexpected error that no plugin raised."""
     if not isinstance(error, DafwError | OSError):
         from dafw.core.plugin import by_plugin
 

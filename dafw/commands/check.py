@@ -11,9 +11,9 @@ from dafw.core.registry import registry
 
 
 def check_command(words: Sequence[str]) -> int:
-    """Print a line for each check of the named plugins, or of all; return 0 where none needs mending, else 1.
+    """Print a line for each check of the named plugins, or of all; return 0 if no plugin needs a fix, else 1.
 
-    Raises PluginError for a name that nobody has.
+    Raises PluginError for a name that no plugin has.
     """
     parser = Parser(prog="dafw check", description="Hold plugins to what their interface promises.")
     parser.add_argument("names", nargs="*", metavar="NAME", help="a plugin's name")
@@ -31,7 +31,7 @@ def check_command(words: Sequence[str]) -> int:
 
 
 def _check(spec: PluginSpec) -> int:
-    """Print the checks of one plugin; return how many need mending."""
+    """Print the checks of one plugin; return how many need a fix."""
     from dafw.authoring.checks import PASSED, factory_of
     from dafw.authoring.kit import run_checks
 
@@ -43,7 +43,7 @@ def _check(spec: PluginSpec) -> int:
             detail = "" if outcome.status == PASSED else outcome.detail
             print(f"{label:<28} {outcome.check.name:<20} {outcome.status:<17} {detail}".rstrip(), flush=True)
             wrong += not outcome.ok
-    except Exception as error:  # a plugin that cannot even be made
+    except Exception as error:  # the plugin cannot be made
         message = str(error) if isinstance(error, DafwError) else f"{type(error).__name__}: {error}"
         print(f"{label:<28} cannot be made: {' '.join(message.split())}")
         return 1

@@ -1,6 +1,6 @@
-"""``dafw doctor``: what this machine lacks, as a table, as JSON, or as names of Debian packages.
+"""``dafw doctor``: prints what this machine lacks, as a table, as JSON, or as names of Debian packages.
 
-It answers in a broken environment as well, where dafw itself may not be importable. So this file and
+It must also work in a broken environment, in which dafw itself may not be importable. So this file and
 doctor_findings.py beside it use only the standard library and syntax of Python 3.9, and can be run by path::
 
     python3 dafw/commands/doctor.py [--json | --system | --packages]
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 def doctor_command(words: Sequence[str]) -> int:
-    """Print what was found; return the exit status: 0 all is well, 1 something is missing.
+    """Print what was found; return the exit status: 0 if nothing is missing, otherwise 1.
 
     setup.sh asks for ``--system``, which leaves the Python packages out, and for ``--packages``, which prints the
     missing Debian packages on one line and always returns 0.

@@ -1,7 +1,7 @@
-"""What dafw needs from the machine: what is there, what is missing, and the command that mends it.
+"""Checks what dafw needs from the machine: what is there, what is missing, and the command that fixes it.
 
-Only the standard library and syntax of Python 3.9 are used, and nothing of dafw is imported: doctor.py beside this file
-says why.
+Only the standard library and syntax of Python 3.9 are used, and nothing of dafw is imported; doctor.py beside this file
+explains why.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 GIGABYTE = 10**9
-FREE_SPACE = 2 * GIGABYTE  # bytes: a paper-size run with whole ensembles and the caches stay below
+FREE_SPACE = 2 * GIGABYTE  # bytes: enough for a paper-size run with whole ensembles and the caches
 PYTHON_FROM, PYTHON_BELOW = (3, 12), (3, 14)  # hydra-core 1.3 fails on 3.14
-IMPORT_TIMEOUT = 180  # seconds; a cold disk takes its time over PETSc
+IMPORT_TIMEOUT = 180  # seconds; the first import of PETSc from disk may be slow
 
 # The modules to import -> the distribution that brings them. dolfinx_solver puts PETSc and MPI where dolfinx looks.
 PACKAGES = {
@@ -45,8 +45,8 @@ PACKAGES = {
     "xarray": "xarray",
 }
 
-# What gmsh's wheel links to and does not bring -> the Debian and Ubuntu package that does. What else it wants
-# (X11, Xext, Xfixes, Xrender, fontconfig; stdc++, z) comes with these, or apt itself wants it.
+# Libraries that gmsh's wheel links to and does not contain -> the Debian and Ubuntu package with each of them. The
+# others that it needs (X11, Xext, Xfixes, Xrender, fontconfig; stdc++, z) come with these, or apt itself needs them.
 LIBRARIES = {
     "libGL.so.1": "libgl1",
     "libGLU.so.1": "libglu1-mesa",
@@ -63,7 +63,7 @@ PROGRAM = '#include <stdio.h>\n#include <math.h>\nint main(void) { return printf
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that was looked at: what was found, the command that mends it, the Debian packages that it needs."""
+    """One checked item: what was found, the command that fixes it, the Debian packages that it needs."""
 
     name: str
     ok: bool
@@ -73,14 +73,14 @@ class Finding:
 
 
 def diagnose() -> list[Finding]:
-    """Look at everything that dafw needs; what is missing comes back as a finding, never as an exception."""
+    """Check everything that dafw needs; a missing item is returned as a finding, never raised as an exception."""
     with ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as pool:
         packages = list(pool.map(_package, PACKAGES))
     return diagnose_system() + packages
 
 
 def diagnose_system() -> list[Finding]:
-    """Look at everything but the Python packages: takes a fraction of a second."""
+    """Check everything but the Python packages; this takes a fraction of a second."""
     cache = cache_folder()
     forms = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fenics"
     return [
@@ -96,12 +96,12 @@ def diagnose_system() -> list[Finding]:
 
 
 def cache_folder() -> Path:
-    """Return where dafw keeps its caches: the variable DAFW_CACHE, or the platform's cache folder of the user."""
+    """Return the folder of dafw's caches: the variable DAFW_CACHE, or the user's cache folder on this platform."""
     if os.environ.get("DAFW_CACHE"):
         return Path(os.environ["DAFW_CACHE"])
     try:
         from platformdirs import user_cache_dir
-    except ImportError:  # then it is one of the packages that the report names; on Linux this is the same folder
+    except ImportError:  # the report then names platformdirs as missing; on Linux this is the same folder
         return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "dafw"
     return Path(user_cache_dir("dafw"))
 
@@ -116,7 +116,7 @@ def _interpreter() -> Finding:
 
 
 def _compiler() -> Finding:
-    """FFCx compiles forms when they are first used, with the variable CC or the compiler that built this Python."""
+    """Find the compiler. FFCx needs one: the variable CC, or else the compiler that built this Python."""
     name = "C compiler"
     command = shlex.split(os.environ.get("CC") or sysconfig.get_config_var("CC") or "cc")
     path = shutil.which(command[0])
@@ -133,7 +133,7 @@ def _compiler() -> Finding:
 
 
 def _headers() -> Finding:
-    """What FFCx compiles includes Python.h: distributions keep it apart from their Python."""
+    """Find Python.h, which FFCx's code includes and which Linux distributions put into a package of its own."""
     header = Path(sysconfig.get_paths()["include"], "Python.h")
     if header.is_file():
         return Finding("Python headers", True, str(header))
@@ -163,7 +163,7 @@ def _loads(library: str) -> bool:
 
 
 def _package(modules: str) -> Finding:
-    """Import in a process of its own: a broken library may take the whole interpreter down."""
+    """Import in a separate process, because a broken library may crash the interpreter."""
     distribution = PACKAGES[modules]
     program = f"import {modules}\nfrom importlib.metadata import version\nprint('version', version({distribution!r}))\n"
     status, output = _run([sys.executable, "-W", "ignore", "-c", program], timeout=IMPORT_TIMEOUT)
@@ -185,14 +185,14 @@ def _writable(name: str, folder: Path, remedy: str) -> Finding:
 
 
 def _shared_memory() -> Finding:
-    """MPI starts only where it can share memory, even with one process."""
+    """Check shared memory, without which MPI does not start, not even with one process."""
     if sys.platform != "linux":
         return Finding("shared memory", True, f"needs nothing on {sys.platform}")
     return _writable("shared memory", SHARED_MEMORY, f"as root: mount -t tmpfs -o mode=1777 tmpfs {SHARED_MEMORY}")
 
 
 def _space(cache: Path) -> Finding:
-    """The results go below the folder one stands in, the meshes and reduced winds into the cache."""
+    """Check free disk space in the current folder (results) and in the cache (meshes and reduced winds)."""
     folders = [Path.cwd(), next(folder for folder in (cache, *cache.absolute().parents) if folder.exists())]
     free, folder = min((shutil.disk_usage(folder).free, str(folder)) for folder in folders)
     found = f"{free / GIGABYTE:.1f} GB free at {folder}"
@@ -202,7 +202,7 @@ def _space(cache: Path) -> Finding:
 
 
 def _run(command: list[str], timeout: float) -> tuple[int, str]:
-    """Return the exit status and all output of a command; that it cannot be started or ended counts as a failure."""
+    """Return the exit status and all output of a command; a failed start or a timeout counts as a failure."""
     try:
         done = subprocess.run(
             command,
@@ -233,7 +233,7 @@ def _install(packages: tuple[str, ...] | list[str]) -> str:
 
 
 def _set_up(otherwise: str) -> str:
-    """In a checkout setup.sh mends what it made; what it takes for up to date but is broken has to go first."""
+    """Return the command that fixes the environment: in a checkout setup.sh, after removing what it would keep."""
     checkout = Path(__file__).resolve().parents[2]
     if not (checkout / "setup.sh").is_file():
         return otherwise

@@ -1,6 +1,7 @@
-"""``mpirun -n N dafw run``: N processes share the domain of one run; rank 0 alone writes and speaks. Or srun's tasks.
+"""``mpirun -n N dafw run``: N processes share the domain of one run; only rank 0 writes files and prints.
 
-Every rank runs the same cycles with the same random numbers. Loaded by every command, so nothing heavy here.
+The tasks of SLURM's srun work in the same way. Every rank runs the same cycles with the same random numbers. Every
+command loads this module, so it imports nothing heavy.
 """
 
 from __future__ import annotations
@@ -17,9 +18,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 PATIENCE = 10.0
-"""Seconds for which a rank that failed waits for the others to come to an end, too; then it ends them."""
+"""Seconds that a failed rank waits for the other ranks to end; then it ends them."""
 FAREWELL = 1.0
-"""Seconds that mpirun has to pass on a last message; ended at once, it may lose it."""
+"""Seconds to wait before aborting, so that mpirun can pass on the last message; otherwise it may get lost."""
 LAUNCHERS = (
     ("mpirun", "PMI_RANK", "PMI_SIZE"),
     ("mpirun", "OMPI_COMM_WORLD_RANK", "OMPI_COMM_WORLD_SIZE"),
@@ -27,11 +28,11 @@ LAUNCHERS = (
 )
 CGROUP = Path("/proc/self/cgroup")
 RANKS = ("PMI_RANK", "PMIX_RANK")
-"""What launchers may set and not say of how many: above 0 it is one of several, 0 may well be alone."""
+"""Variables of launchers that give a rank without a size. A rank above 0 is one of several; rank 0 may be alone."""
 
 
 class Launch(NamedTuple):
-    """Who started this process, its rank, and how many there are; size 0: several, nothing says how many."""
+    """The launcher of this process, its rank and the number of processes; size 0: several, of unknown number."""
 
     launcher: str
     rank: int
@@ -42,7 +43,7 @@ ALONE = Launch("", 0, 1)
 
 
 def launched() -> Launch:
-    """Return how this process was started, by what launchers leave in the environment; rank 0 of 1 without any."""
+    """Return how this process was started, from the launcher's environment variables; rank 0 of 1 without any."""
     for launcher, rank, size in LAUNCHERS:
         if _number(rank) is not None and (several := _number(size)) is not None:
             if launcher == "srun" and several > 1 and not _is_task():
@@ -58,10 +59,10 @@ def _number(name: str) -> int | None:
 
 
 def _is_task() -> bool:
-    """Say whether a process of SLURM is what srun started.
+    """Return whether srun started this process of a SLURM job.
 
-    A shell of ``srun --pty`` has variables of several tasks, too, but a terminal; a batch script may have been handed
-    down those of the shell it was submitted from.
+    The variables alone do not tell. A shell of ``srun --pty`` also has variables of several tasks, but it has a
+    terminal. A batch script may have inherited the variables of the shell that submitted it.
     """
     try:
         os.close(os.open("/dev/tty", os.O_RDONLY | os.O_NOCTTY))
@@ -75,16 +76,16 @@ def _is_task() -> bool:
 
 
 def shares(words: Sequence[str]) -> bool:
-    """Say whether a command is to be run by several processes together, or refused by them.
+    """Return whether a command started in several processes is to be run by them together, or else refused.
 
-    srun alone starts any command once on every node; mpirun is for what is shared.
+    srun may start any command once on every node; mpirun is only for commands that processes run together.
     """
     launch = launched()
     return launch.size != 1 and (words[0] == "run" or launch.launcher != "srun")
 
 
 def run_on_all_ranks(command: Callable[[Any], tuple[int, str]], words: Sequence[str]) -> int:
-    """Have every rank call ``command(communicator)`` and return the exit status; rank 0 says what went wrong.
+    """Call ``command(communicator)`` on every rank and return the exit status; rank 0 prints what went wrong.
 
     ``command`` returns an exit status and a message; ``words`` are those of the command line, the first its name.
     """
@@ -94,7 +95,7 @@ def run_on_all_ranks(command: Callable[[Any], tuple[int, str]], words: Sequence[
         return _say(2, f"rank {rank} of a launcher that says not how many processes there are: {expected}", rank - 1)
     if words[0] != "run":
         return _say(2, f"'dafw {words[0]}' works in one process: mpirun is for 'dafw run'", rank)
-    with warnings.catch_warnings(action="ignore", category=RuntimeWarning):  # of another mpirun: said below
+    with warnings.catch_warnings(action="ignore", category=RuntimeWarning):  # about another mpirun; reported below
         from mpi4py import MPI
 
     world = MPI.COMM_WORLD
@@ -126,7 +127,7 @@ def run_on_all_ranks(command: Callable[[Any], tuple[int, str]], words: Sequence[
 
 
 def _all_ended(endings: Any, patience: float) -> bool:
-    """Say whether all ranks come to an end within so many seconds."""
+    """Return whether all ranks end within ``patience`` seconds."""
     arrived, deadline = endings.Ibarrier(), time.monotonic() + patience
     while not arrived.Test():
         if time.monotonic() > deadline:

@@ -1,4 +1,4 @@
-"""``dafw new-plugin``: a package with a plugin to start from, and its test."""
+"""``dafw new-plugin``: writes a package with an example plugin to start from, and its test."""
 
 from __future__ import annotations
 

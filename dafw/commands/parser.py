@@ -1,4 +1,4 @@
-"""The words of a command: what is wrong with them is said in one line."""
+"""Parsing the arguments of a command; wrong arguments give a one-line error."""
 
 from __future__ import annotations
 
@@ -11,5 +11,5 @@ class Parser(argparse.ArgumentParser):
     """Raises ConfigurationError where argparse would print its usage and exit."""
 
     def error(self, message: str) -> None:  # type: ignore[override]
-        """Refuse the words in one line, as every command does."""
+        """Raise ConfigurationError with a one-line message."""
         raise ConfigurationError(f"{self.prog.removeprefix('dafw ')}: {message}")

@@ -13,7 +13,7 @@ from dafw.core.registry import registry
 
 
 def plugins_command(words: Sequence[str]) -> int:
-    """Print the plugins, or the options of those with a name; raises PluginError for a name that nobody has."""
+    """Print all plugins, or the options of those with the given name; raises PluginError for an unknown name."""
     parser = Parser(prog="dafw plugins", description="List the plugins, or the options of those with this name.")
     parser.add_argument("name", nargs="?", help="a plugin's name: list its options")
     parser.add_argument("--json", action="store_true", help="for machines")

@@ -1,7 +1,7 @@
 """``dafw run``: Hydra composes, launches and sweeps; dafw checks first and runs each job.
 
-Everything is composed and checked before Hydra starts anything, so that a wrong request costs nothing and no
-configuration has code run that it names itself.
+Everything is composed and checked before Hydra starts anything. So a wrong request costs no time, and a configuration
+cannot run code that it names.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ from dafw.studies.running import follow_study, refuse_run, run_study
 from dafw.studies.stopping import Interrupted
 
 STATUSES = ".status"
-"""Folder in a sweep where its jobs leave their exit statuses until it is done."""
+"""Folder in a sweep in which its jobs store their exit statuses until the sweep is done."""
 
 SHOWN_BY_BUILDING = ("model", "truth", "free", "vehicle", "observer", "policy", "readings", "section")
-"""What of a study's configuration can be wrong in ways that only a site or a mesh shows."""
+"""Parts of a study's configuration whose errors may show only when a site or a mesh is built."""
 
 
 def run_command(words: Sequence[str], communicator: Any = None) -> int:
-    """Run ``dafw run WORDS``; raises DafwError. Of the ranks of an MPI communicator, rank 0 writes and speaks."""
+    """Run ``dafw run WORDS``; raises DafwError. With an MPI communicator, only rank 0 writes files and prints."""
     parser = get_args_parser()
     parser.error = _refuse  # type: ignore[method-assign]  # argparse would print its usage and exit
     asked = parser.parse_intermixed_args(list(words))
@@ -74,7 +74,7 @@ def run_command(words: Sequence[str], communicator: Any = None) -> int:
         try:
             composed = study_part(config)
             study = study_from(composed)
-            # Building the parts shows what only a site or a mesh can tell; once for each place is enough.
+            # Some errors show only when a site or a mesh is built: build once for each different one.
             place = repr([composed.get(key) for key in SHOWN_BY_BUILDING])
             if place not in placed:
                 study.prepare(communicator)
@@ -86,17 +86,17 @@ def run_command(words: Sequence[str], communicator: Any = None) -> int:
     if follows:
         return _follow(study, communicator)
     if len({word for job in jobs for word in job if word.startswith("experiment=")}) > 1:
-        overrides.append("hydra.job.config.override_dirname.exclude_keys=[]")  # else two jobs have the same folder
+        overrides.append("hydra.job.config.override_dirname.exclude_keys=[]")  # else two jobs could share a folder
     return _launch(hydra, name, overrides, sweep, len(jobs), communicator)
 
 
 def _show(parser: ArgumentParser, asked: Namespace, overrides: list[str], folder: Path | None, name: str) -> int:
-    """Show what Hydra knows: its help, the configuration, where that came from."""
+    """Show Hydra's help, the composed configuration, or where its values come from."""
     if sum(map(bool, (asked.cfg, asked.info, asked.shell_completion, asked.run, asked.multirun))) > 1:
         raise ConfigurationError("run: expected only one of --run, --multirun, --cfg, --info and --shell-completion")
     asked.overrides = overrides
     hydra = study_hydra(folder)
-    compose(overrides, folder, name, hydra)  # says what is wrong in one line, and refuses code
+    compose(overrides, folder, name, hydra)  # a wrong request, or one that names code, raises here
     if asked.help:
         hydra.app_help(name, parser, asked)
     elif asked.hydra_help:
@@ -125,7 +125,7 @@ def _refuse(message: str) -> NoReturn:
 def _launch(
     hydra: Hydra, name: str, overrides: list[str], sweep: Path | None, jobs: int, communicator: Any = None
 ) -> int:
-    """Hand over to Hydra; return the exit status of the job, or of the worst of those of a sweep into a folder."""
+    """Run with Hydra; return the exit status of the job, or the worst exit status of the jobs of a sweep."""
     statuses: list[int] = []
 
     def job(config: DictConfig) -> None:
@@ -136,12 +136,12 @@ def _launch(
             line = said(error)
             if line is None and sweep is None:
                 raise
-            # The other jobs of a sweep go on whatever it was.
+            # Whatever the error is, the other jobs of a sweep must go on.
             status = status_of(error)
             print(f"dafw: {line or ' '.join(f'{type(error).__name__}: {error}'.split())}", file=sys.stderr)
         if sweep is None:
             statuses.append(status)
-        else:  # a launcher may run the job in another process, on another machine
+        else:  # a file, because a launcher may run the job in another process or machine
             (sweep / STATUSES).mkdir(exist_ok=True)
             (sweep / STATUSES / str(hydra_config.job.num)).write_text(str(status))
 
@@ -175,7 +175,7 @@ def _override(key: str, value: Path) -> str:
 
 
 def _run_job(config: DictConfig, folder: Path, communicator: Any) -> int:
-    """Run one study into its folder, say how it went, and return the exit status."""
+    """Run one study into its folder, print how it ended, and return the exit status."""
     try:
         study = study_from(study_part(config))
         summary = run_study(study, folder, communicator)

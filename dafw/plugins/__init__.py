@@ -1,4 +1,4 @@
-"""The built-in plugins: they come in through the same door as anybody's, the entry-point group ``dafw``."""
+"""The built-in plugins. They are registered like those of other packages, by the entry-point group ``dafw``."""
 
 from __future__ import annotations
 

@@ -1,11 +1,11 @@
 """The stochastic ensemble Kalman filter with perturbed observations.
 
 With the forecast anomalies A (N, n), and the predicted anomalies Y (N, m), the innovations dy_i = y - h_i (N, m) and
-standard normal perturbations Z (N, m), their mean taken out, all three in units of the readings' errors (R = I)::
+standard normal perturbations Z (N, m) less their mean, all three in units of the readings' errors (R = I)::
 
     E = members + (dy - Z) Y^T (Y Y^T + (N - 1) I)^-1 A
 
-which is the gain A^T Y (Y^T Y + (N - 1) R)^-1 of the readings' space, written in the (N, N) space of the ensemble.
+This is the gain A^T Y (Y^T Y + (N - 1) R)^-1 of the space of readings, written in the (N, N) space of the ensemble.
 
 Burgers, van Leeuwen and Evensen (1998), doi:10.1175/1520-0493(1998)126<1719:ASITEK>2.0.CO;2.
 """
@@ -25,19 +25,19 @@ from dafw.core.space import Array
 
 @dataclass
 class EnKF(Filter):
-    """Every member meets the readings with an error of its own; no localization."""
+    """Every member is updated with the readings plus its own random error; no localization."""
 
     inflation: float = option(1.0, "factor on the forecast anomalies before the analysis", minimum=1.0)
 
     def analyse(
         self, forecast: Ensemble, predicted: Array, observation: Observation, rng: np.random.Generator
     ) -> Analysis:
-        """Return the members, inflated and each moved by the gain, brought back into the state's set."""
+        """Return the inflated members, each moved by the gain and kept in the range of each variable."""
         anomalies = self.inflation * forecast.anomalies
         predicted_mean = predicted.mean(axis=0)
         predicted_anomalies = self.inflation * (predicted - predicted_mean)
         innovations = observation.values - predicted_mean - predicted_anomalies
-        # At once: a covariance that is full is factorised a single time.
+        # Both in one call, so that a full covariance is factorised once.
         rows = whiten(observation.covariance, np.vstack([predicted_anomalies, innovations]))
         Y, dy = np.split(rows, 2)  # noqa: N806
         Z = rng.standard_normal(Y.shape)  # noqa: N806

@@ -1,18 +1,18 @@
-"""The ensemble Kalman smoother: readings change the beliefs of earlier times, too.
+"""The ensemble Kalman smoother: readings also change the beliefs at earlier times.
 
-The readings y of the present change the forecast E and, by the same weights, the beliefs E_s of all earlier times s in
-the window. With predicted anomalies Y (N, m) and innovation dy (m,), and the ETKF's weights and transform ::
+The present readings y change the forecast E and, by the same weights, the beliefs E_s at all earlier times s in the
+window. With predicted anomalies Y (N, m), innovation dy (m,), and the ETKF's weights and transform ::
 
     Lambda = dy R^-1 Y^T V diag(d^-1) V^T                      (N,)
     T      = sqrt(N - 1) V diag(d^-1/2) V^T                    (N, N)
     E_s   <- mean_s + (Lambda + T) A_s                         for every s
 
-where A_s are the anomalies of E_s. With the readings of all times that is the fixed-interval smoother; for linear
-models and Gaussian errors it has the moments of the Rauch-Tung-Striebel smoother, without a backward pass. A late
-reading meets the belief of its own time in the same way, and changes all others with it.
+where A_s are the anomalies of E_s. If the window begins at the start, this is the fixed-interval smoother; for linear
+models and Gaussian errors it has the moments of the Rauch-Tung-Striebel smoother, without a backward pass. For a late
+reading, Y and dy come from the belief at the reading's own time; it changes the beliefs at all times in the same way.
 
-Evensen and van Leeuwen (2000), doi:10.1175/1520-0493(2000)128<1852:AEKSFN>2.0.CO;2; the transform is that of
-dafw.plugins.filters.etkf, with its inflation before the update of the present alone.
+Evensen and van Leeuwen (2000), doi:10.1175/1520-0493(2000)128<1852:AEKSFN>2.0.CO;2. The transform is that of
+dafw.plugins.filters.etkf. Inflation is applied before the present update, to the present forecast alone.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ from dafw.plugins.filters.etkf import transform
 
 
 def updated(ensemble: Ensemble, weights: Array, matrix: Array) -> Array:
-    """Return the members mean + (Lambda + T) A (N, n), brought back into the state's set."""
+    """Return the members mean + (Lambda + T) A (N, n), kept in the range of each variable."""
     return ensemble.space.retract(ensemble.mean, (weights + matrix) @ ensemble.anomalies)
 
 
 @dataclass
 class EnKS(Filter):
-    """A smoother over a window: fixed lag, or since the start."""
+    """A smoother over a window: of a fixed number of cycles, or of all since the start."""
 
     accuracy = "exact"
 
@@ -62,7 +62,7 @@ class EnKS(Filter):
         return Analysis(present.ensemble.members, window.memory, revised=beliefs)
 
     def _transform(self, observation: Observation, belief: Ensemble) -> tuple[Array, Array]:
-        """Return weights (N,) and transform (N, N) that an observation asks for; no readings change nothing."""
+        """Return an observation's weights (N,) and transform (N, N); without readings they change nothing."""
         predicted = observation.operator.apply(belief.members)
         mean = predicted.mean(axis=0)
         return transform(predicted - mean, observation.values - mean, observation.covariance)

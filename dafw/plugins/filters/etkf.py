@@ -11,13 +11,14 @@ error covariance R (m, m)::
 Gioia et al., doi:10.1109/SDF63218.2024.10773899; Hunt et al. (2007), doi:10.1016/j.physd.2006.11.008;
 Bishop et al. (2001), doi:10.1175/1520-0493(2001)129<0420:ASWTET>2.0.CO;2.
 
-The paper's Algorithm 1 divides by sigma_ob where R^-1 asks for its square. Here R is what the observer says the
-covariance is; the paper's experiment says so by an assumed variance (conf/observer/paper_drone.yaml).
+The paper's Algorithm 1 divides by sigma_ob where R^-1 requires sigma_ob squared. Here R is the covariance given by the
+observer; the paper's experiment reproduces the paper by an assumed variance (conf/observer/paper_drone.yaml).
 
-With ``rotation`` T becomes U T, with a random orthogonal U that leaves the constant vector, and so the ensemble's mean
-and covariance, as they are: it keeps a few members of a deterministic filter from carrying all of the spread. Sakov and
-Oke (2008), doi:10.1175/2007MWR2021.1. If U is uniform, U T is uniform among all roots of this covariance that keep the
-mean. So it needs no symmetric root: with the zero-mean basis B (N, N - 1) and a uniform orthogonal Q::
+With ``rotation`` T becomes U T. U is a random orthogonal matrix that maps the constant vector to itself, so it does not
+change the ensemble's mean and covariance. It prevents a few members of a deterministic filter from carrying all of the
+spread. Sakov and Oke (2008), doi:10.1175/2007MWR2021.1. If U is uniform, U T is uniform among all roots of this
+covariance that keep the mean. So any root will do instead of the symmetric one: with the zero-mean basis B (N, N - 1)
+and a uniform orthogonal Q::
 
     B^T (Y R^-1 Y^T + (N - 1) I) B = L L^T                 (N - 1, N - 1)
     U T = sqrt(N - 1) B Q L^-1 B^T + 1 / N                 (N, N)
@@ -38,7 +39,7 @@ from dafw.plugins.filters.rotation import uniform_orthogonal, zero_mean_basis
 
 
 def _whitened(predicted_anomalies: Array, innovation: Array, covariance: Array) -> tuple[Array, Array]:
-    """Return both in units of the readings' errors, by one factorisation of a covariance that is full."""
+    """Return both in units of the readings' errors; a full covariance is factorised only once."""
     if covariance.ndim == 1:
         return whiten(covariance, predicted_anomalies), whiten(covariance, innovation)
     rows = whiten(covariance, np.vstack([predicted_anomalies, innovation]))
@@ -53,7 +54,7 @@ def transform(predicted_anomalies: Array, innovation: Array, covariance: Array) 
     n_members = len(predicted_anomalies)
     Y, dy = _whitened(predicted_anomalies, innovation, covariance)  # noqa: N806
     d, V = np.linalg.eigh(Y @ Y.T)  # noqa: N806
-    d = np.maximum(d, 0.0) + (n_members - 1)  # what adding (N - 1) I does; rounding alone makes d negative
+    d = np.maximum(d, 0.0) + (n_members - 1)  # adds (N - 1) I; d < 0 only by rounding
     T = (V * np.sqrt((n_members - 1) / d)) @ V.T  # noqa: N806
     Lambda = (dy @ Y.T @ V / d) @ V.T  # noqa: N806
     return Lambda, T
@@ -62,7 +63,7 @@ def transform(predicted_anomalies: Array, innovation: Array, covariance: Array) 
 def rotated_transform(
     predicted_anomalies: Array, innovation: Array, covariance: Array, rng: np.random.Generator
 ) -> tuple[Array, Array]:
-    """Return Lambda (N,) as ``transform`` does, and a random rotation U T (N, N) of its T."""
+    """Return Lambda (N,) as ``transform`` does, and U T (N, N): its T under a random rotation U."""
     n_members = len(predicted_anomalies)
     basis = zero_mean_basis(n_members)
     Y, dy = _whitened(predicted_anomalies, innovation, covariance)  # noqa: N806
@@ -88,7 +89,7 @@ class ETKF(Filter):
     def analyse(
         self, forecast: Ensemble, predicted: Array, observation: Observation, rng: np.random.Generator
     ) -> Analysis:
-        """Return mean + (Lambda + T) anomalies, brought back into the state's set."""
+        """Return mean + (Lambda + T) anomalies, kept in the range of each variable."""
         predicted_mean = np.add.reduce(predicted, axis=0) / len(predicted)
         anomalies, innovation = self.inflation * (predicted - predicted_mean), observation.values - predicted_mean
         if self.rotation:

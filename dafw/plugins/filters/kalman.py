@@ -1,13 +1,12 @@
-"""The exact Kalman filter, living in an ensemble that is large enough to carry its moments.
+"""The exact Kalman filter, on an ensemble that is large enough to represent its moments.
 
-An ensemble of N > n members holds a mean and any covariance of n numbers exactly. So the model and the loop stay as
-they are, a linear model moves the moments exactly, and this filter
+An ensemble of N > n members can have any mean and covariance of n numbers exactly. So the model and the loop need not
+change, and a linear model propagates the moments exactly. This filter
 
 1. takes mean x and covariance P from the forecast (divisor N - 1);
-2. gives them to the Kalman update, ``filterpy.kalman.KalmanFilter.update``;
+2. updates them by ``filterpy.kalman.KalmanFilter.update``;
 3. makes members with exactly the updated moments, without drawing: E = x + sqrt(N - 1) Q S with S the symmetric root
-   of P and Q (N, n) those orthonormal columns of zero mean that leave the members nearest to where they were
-   (orthogonal Procrustes).
+   of P and Q (N, n) the orthonormal columns of zero mean that change the members least (orthogonal Procrustes).
 
 Kalman (1960), doi:10.1115/1.3662552; Schönemann (1966), doi:10.1007/BF02289451.
 """
@@ -29,7 +28,7 @@ LINEAR = 1e-9
 
 
 def operator_matrix(operator: ObservationOperator, size: int) -> tuple[Array, Array]:
-    """Return H (m, n) and h_0 (m,) of an affine operator x -> H x + h_0, from what it makes of the unit vectors."""
+    """Return H (m, n) and h_0 (m,) of an affine operator x -> H x + h_0, by applying it to the unit vectors."""
     offset = operator.apply(np.zeros((1, size)))[0]
     return (operator.apply(np.eye(size)) - offset).T, offset
 
@@ -50,8 +49,8 @@ def members_with(mean: Array, covariance: Array, near: Array) -> Array:
 class Kalman(Filter):
     """Exact for linear models without drawn model error, linear operators and fields; no options, no randomness.
 
-    Raises ConfigurationError where N <= n or the state has angles or bounds, ComputationError where the operator is
-    not linear.
+    Raises ConfigurationError if N <= n or the state has angles or bounds, ComputationError if the operator is not
+    linear.
     """
 
     accuracy = "exact"

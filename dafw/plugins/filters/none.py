@@ -1,4 +1,4 @@
-"""No assimilation: the analysis is the forecast. What an ensemble does when left alone."""
+"""No assimilation: the analysis is the forecast, so the ensemble evolves by the model alone."""
 
 from __future__ import annotations
 
@@ -22,5 +22,5 @@ class NoFilter(Filter):
     def analyse(
         self, forecast: Ensemble, predicted: Array, observation: Observation, rng: np.random.Generator
     ) -> Analysis:
-        """Return the forecast's members, brought into the state's set as any filter's are."""
+        """Return the forecast's members, moved into the range of each variable as every filter does."""
         return Analysis(forecast.space.retract(forecast.members, np.zeros(forecast.space.size)))

@@ -1,4 +1,4 @@
-"""Linear advection on a circle: the model whose forecast is known in closed form.
+"""Linear advection on a circle: a model whose forecast is known in closed form.
 
 ::
 
@@ -11,12 +11,12 @@ The upwind scheme with the Courant number C = |c| dt / dx is first order, and ex
 Courant, Isaacson and Rees (1952), doi:10.1002/cpa.3160050303. As a test of filters: Evensen (2004),
 doi:10.1007/s10236-004-0096-8.
 
-The model error q of each member may be correlated in time: with the correlation a from one step to the next and
-standard normal numbers w it is a memory of the model, ::
+The model error of each member is error_sd q. It may be correlated in time: with the correlation a from one step to the
+next and standard normal numbers w, q is kept in the model's memory, ::
 
     q_k = a q_{k-1} + sqrt(1 - a^2) w_k,    q_0 = 0
 
-times error_sd. Evensen (2003), eq. 42, doi:10.1007/s10236-003-0036-9.
+Evensen (2003), eq. 42, doi:10.1007/s10236-003-0036-9.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from dafw.core.rng import MemberStreams
 from dafw.core.space import FIELD, Array, StateSpace, Variable
 
 SEEN_BY_NOBODY = 10.0
-"""Standard deviations from the mean within which every draw of a normal distribution lies that anybody will see."""
+"""Standard deviations from the mean beyond which a draw of a normal distribution practically never lies."""
 
 
 @dataclass
@@ -67,7 +67,7 @@ class LinearAdvection(Model):
                 f"model 'linear_advection': error_correlation must be below 1, got {self.error_correlation:g}"
             )
         self.x: Array = np.linspace(0.0, self.length, self.cells, endpoint=False)
-        # The scheme makes no number larger than the largest before. Model errors add up without end.
+        # The scheme itself never increases the largest absolute value, but model errors add up without bound.
         plausible = SEEN_BY_NOBODY if self.error_sd == 0.0 else np.inf
         places = self.x[:, np.newaxis]
         self.space = StateSpace([Variable("u", self.cells, FIELD, "1", places, "amplitude", plausible)])
@@ -79,7 +79,7 @@ class LinearAdvection(Model):
         return rng.standard_normal((n_members, len(shapes))) @ shapes / np.sqrt(1.0 + self.waves)
 
     def initial_memory(self, members: Array) -> Memory | None:
-        """Return the model error (N, n) before the first step: none. An error without a correlation needs no memory."""
+        """Return the model error (N, n) before the first step: zero. Uncorrelated errors need no memory (None)."""
         return {"error": np.zeros(members.shape)} if self.error_correlation > 0.0 else None
 
     def step_with_memory(self, members: Array, memory: Memory | None, t: float, rng: MemberStreams) -> Step:
@@ -91,7 +91,7 @@ class LinearAdvection(Model):
         return Step(self._moved(members) + self.error_sd * error, {"error": error})
 
     def step(self, members: Array, t: float, rng: MemberStreams) -> Array:
-        """Return the members (N, n) at t + dt, with model errors that remember nothing."""
+        """Return the members (N, n) at t + dt, with uncorrelated model errors."""
         moved = self._moved(members)
         return moved + self.error_sd * rng.standard_normal(members.shape) if self.error_sd else moved
 

@@ -1,11 +1,11 @@
-"""Lorenz-96: chaos on a circle of a few dozen numbers, the usual test bed of ensemble filters.
+"""Lorenz-96: a chaotic system of a few dozen numbers on a circle, the usual test case of ensemble filters.
 
 ::
 
     dx_i/dt = (x_{i+1} - x_{i-2}) x_{i-1} - x_i + F,    i modulo n
 
-stepped by the classical fourth-order Runge-Kutta scheme. One unit of the model's time stands for about five days of
-weather; to the framework it is a second, so ``dt = 0.05`` and a run's time is in model units.
+The time integration is the classical fourth-order Runge-Kutta scheme. One unit of the model's time corresponds to about
+five days of weather. The framework treats it as one second, so ``dt = 0.05`` and a run's time are in model units.
 
 Lorenz (1996), Predictability - a problem partly solved; the setting of n = 40, F = 8, dt = 0.05 is that of Sakov and
 Oke (2008), doi:10.1175/2007MWR2021.1.
@@ -27,7 +27,7 @@ from dafw.core.space import Array, IntArray, StateSpace, Variable
 
 @cache
 def _around(size: int) -> IntArray:
-    """Return the rows -2, -1, 0, ..., n - 1, 0: neighbours become slices."""
+    """Return the indices -2, -1, 0, ..., n - 1, 0: of rows in this order, neighbours are slices."""
     return np.arange(-2, size + 1) % size
 
 
@@ -42,7 +42,7 @@ def tendency(x: Array, forcing: float) -> Array:
 
 
 def runge_kutta_4(x: Array, forcing: float, dt: float) -> Array:
-    """Return the states (n, N) a step of length dt later."""
+    """Return the states (n, N) after a step of length dt."""
     k1 = tendency(x, forcing)
     k2 = tendency(x + 0.5 * dt * k1, forcing)
     k3 = tendency(x + 0.5 * dt * k2, forcing)
@@ -57,7 +57,7 @@ def runge_kutta_4(x: Array, forcing: float, dt: float) -> Array:
 
 @lru_cache(maxsize=8)
 def spun_up(size: int, forcing: float, dt: float, n_steps: int) -> Array:
-    """Return where the model is (n,) after ``n_steps`` from a fixed wave."""
+    """Return the state (n,) after ``n_steps`` steps from a fixed wave."""
     state = forcing + np.sin(2.0 * np.pi * np.arange(size) / size)[:, np.newaxis]
     for _ in range(n_steps):
         state = runge_kutta_4(state, forcing, dt)
@@ -68,9 +68,9 @@ def spun_up(size: int, forcing: float, dt: float, n_steps: int) -> Array:
 class Lorenz96(Model):
     """The model without error.
 
-    The first guess is N(b, first_guess_sd^2 I). Its mean b is the same for every seed: where the model is after
-    ``spinup`` steps from a fixed wave, that is, on its attractor. The truth is drawn from the first guess too, so the
-    belief starts with the error that it says it has.
+    The first guess is N(b, first_guess_sd^2 I). Its mean b is the same for every seed: the state after ``spinup``
+    steps from a fixed wave, which lies on the attractor. The truth is drawn from the first guess, too, so the spread of
+    the first belief matches its error.
     """
 
     size: int = option(40, "numbers on the circle, n", minimum=4)
@@ -80,8 +80,8 @@ class Lorenz96(Model):
     spinup: int = option(400, "steps from a fixed wave to the mean of the first guess", minimum=0)
 
     def __post_init__(self) -> None:
-        # The sum of x^2 decreases wherever it exceeds n F^2. The first guess may lie outside: without spin-up its mean
-        # is F + 1 at most, and no draw is four standard deviations from it in the root mean square of n numbers.
+        # The sum of x^2 decreases wherever it exceeds n F^2. The first guess may lie beyond that: without spin-up its
+        # mean is at most F + 1, and the root mean square of a draw's n deviations stays below four standard deviations.
         largest = np.sqrt(self.size) * (abs(self.forcing) + 1.0 + 4.0 * self.first_guess_sd)
         self.space = StateSpace([Variable("x", self.size, long_name="Lorenz-96 variable", plausible=float(largest))])
 
@@ -92,5 +92,5 @@ class Lorenz96(Model):
 
     def step(self, members: Array, t: float, rng: MemberStreams) -> Array:
         """Return the members (N, n) at t + dt."""
-        # With the members on the last axis neighbours are whole rows, which is twice as quick.
+        # With the members on the last axis neighbours are whole rows, which is twice as fast.
         return runge_kutta_4(np.ascontiguousarray(members.T), self.forcing, self.dt).T

@@ -1,4 +1,4 @@
-"""Several observers at once: their readings stand one below the other, their errors are independent."""
+"""Several observers at once: their readings are stacked, their errors are independent."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from dafw.core.space import StateSpace
 
 @dataclass
 class Composite(Observer):
-    """A drone and stations, say."""
+    """Combines other observers, for example a drone and stations."""
 
     parts: dict[str, Any] = option(
         REQUIRED, "the observers by a name of your own, each a mapping with its name and options"
@@ -38,7 +38,7 @@ class Composite(Observer):
             self._observers.append(registry().create("observer", part))
 
     def suit(self, space: StateSpace, dt: float) -> None:
-        """Raise ConfigurationError where a part does not go with the state space or the time step."""
+        """Raise ConfigurationError if a part does not fit the state space or the time step."""
         for observer in self._observers:
             observer.suit(space, dt)
 

@@ -1,7 +1,8 @@
-"""The drone: projects the way it flies onto the mesh and reads the nodes it passes.
+"""The drone: reads the mesh nodes nearest to points along its path.
 
-The leg is sampled at equal distances, its end included and its start (read a step ago) not; each sample reads the
-node nearest to it. Two samples a step give the one or two nodes a second of Gioia et al. (2024), Sec. III.
+The leg of a step is sampled at equal distances. Its end is a sample; its start is not, because the step before read
+it. Each sample reads the nearest node. Two samples a step give the one or two nodes a second of Gioia et al. (2024),
+Sec. III.
 """
 
 from __future__ import annotations
@@ -21,11 +22,11 @@ from dafw.plugins.observers.nodes import read_nodes
 
 
 def along(path: Array, n_samples: int) -> Array:
-    """Return ``n_samples`` points (n, 2) at equal distances along the polyline (k, 2), its end included, not its start.
+    """Return ``n_samples`` points (n, 2) at equal distances along the polyline (k, 2), with its end, without its start.
 
-    A vehicle that hovers gives the one point where it is.
+    For a vehicle that hovers it is the one point where the vehicle is.
     """
-    # A handful of points: plain numbers are quicker than arrays of them.
+    # For so few points, plain numbers are faster than arrays.
     travelled = [0.0, *accumulate(starmap(dist, pairwise(path.tolist())))]
     if travelled[-1] == 0.0:
         return path[:1]
@@ -46,7 +47,7 @@ class Drone(Observer):
     assumed_variance: float | None = option(None, "variance that the filter is told; null: noise_sd squared", above=0.0)
 
     def suit(self, space: StateSpace, dt: float) -> None:
-        """Raise ConfigurationError where the variable is not there or has no coordinates in the plane."""
+        """Raise ConfigurationError if the variable does not exist or has no coordinates in the plane."""
         self.require_places(space, self.variable)
 
     def operator(self, space: StateSpace, route: Route, t: float) -> ObservationOperator:

@@ -1,4 +1,4 @@
-"""Fixed entries of a state variable: all of them, every k-th or a given list; every step or every so often."""
+"""Reads fixed entries of a state variable: all of them, every k-th or a given list; every step or less often."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from dafw.plugins.observers.schedule import is_due, require_steps
 
 @dataclass
 class Grid(Observer):
-    """The observer of studies without places or vehicles."""
+    """The observer for studies without coordinates or vehicles."""
 
     variable: str | None = option(None, "state variable that is read; null: the first")
     indices: list[int] = option([], "entries that are read, counted from 0; empty: by start and stride", minimum=0)
@@ -32,16 +32,16 @@ class Grid(Observer):
     _made: tuple[StateSpace, Selection] | None = field(default=None, init=False, repr=False, compare=False)
 
     def suit(self, space: StateSpace, dt: float) -> None:
-        """Raise ConfigurationError where the variable is not there or ``every`` no multiple of the time step."""
+        """Raise ConfigurationError if the variable does not exist or ``every`` is not a multiple of the time step."""
         require_steps(self.every, dt, self.label)
         if self.variable is not None:
             self.require_variable(space, self.variable)
 
     def operator(self, space: StateSpace, route: Route, t: float) -> ObservationOperator:
-        """Return the readings due in this step: all, or none. Raises ConfigurationError for an entry there is not."""
+        """Return the readings due in this step: all, or none. Raises ConfigurationError for an entry out of range."""
         if not is_due(t, self.every, route.dt):
             return nothing()
-        # Made once for a state space and not in every step: checking its covariances takes longer than using it.
+        # Made once for each state space, because checking its covariances takes longer than using it.
         if self._made is None or self._made[0] is not space:
             self._made = (space, self._selection(space))
         return self._made[1]

@@ -1,4 +1,4 @@
-"""Readings at the nodes nearest to given points: what drones and stations have in common."""
+"""Readings at the nodes nearest to given points; used by the drone and the stations."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ def read_nodes(
 ) -> Selection:
     """Return H in {0, 1} for the nodes nearest to ``points`` (k, 2), each node once, in the order of the points.
 
-    The noise drawn has the standard deviation ``noise_sd``; the filter is told ``assumed_variance``, or the noise's
-    own variance where that is None.
+    The noise of the readings has the standard deviation ``noise_sd``. The filter is given ``assumed_variance``; if that
+    is None, the variance of the noise.
     """
     nodes = space[variable].nearest(points) if len(points) else np.empty(0, dtype=np.int64)
     nodes = np.array(list(dict.fromkeys(nodes.tolist())), dtype=np.int64)

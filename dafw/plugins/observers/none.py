@@ -1,4 +1,4 @@
-"""No instruments of its own: for studies whose readings come from elsewhere."""
+"""No instruments: for studies whose readings come from a list or another source."""
 
 from __future__ import annotations
 

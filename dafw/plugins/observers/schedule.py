@@ -1,4 +1,4 @@
-"""When readings are due that are taken every so many seconds."""
+"""Tells in which steps readings are due that are taken at a fixed interval."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from dafw.core.errors import ConfigurationError
 
 
 def is_due(t: float, every: float | None, dt: float) -> bool:
-    """Say whether the step that begins at t is one in which readings are taken every so many seconds; None: in all.
+    """Return whether readings taken at the interval ``every`` (s) are due in the step that begins at t; None: always.
 
-    ``every`` is a multiple of the time step ``dt`` (see ``require_steps``), and steps are counted: t may be a sum of
-    many rounded steps. Where dt is 0, as in a route that was made by hand, t itself must be a multiple of ``every``.
+    ``every`` is a multiple of the time step ``dt`` (see ``require_steps``). Whole steps are counted, because t may be a
+    sum of many rounded steps. If dt is 0, as in a route made by hand, t itself must be a multiple of ``every``.
     """
     if every is None:
         return True
@@ -18,7 +18,7 @@ def is_due(t: float, every: float | None, dt: float) -> bool:
 
 
 def require_steps(every: float | None, dt: float, label: str) -> None:
-    """Raise ConfigurationError where ``every`` is no multiple of the time step: readings would be lost in silence."""
+    """Raise ConfigurationError if ``every`` is not a multiple of the time step: readings would be lost silently."""
     if every is None:
         return
     steps = every / dt

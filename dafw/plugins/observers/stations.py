@@ -1,4 +1,4 @@
-"""Fixed stations: each reads the node nearest to it, now or every so many seconds."""
+"""Fixed stations: each reads its nearest node, in every step or at a fixed interval."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from dafw.plugins.observers.schedule import is_due, require_steps
 
 @dataclass
 class Stations(Observer):
-    """Sensors on poles."""
+    """Sensors at fixed positions."""
 
     positions: list[list[float]] = option(REQUIRED, "places of the stations, [[x, y], ...] in metres")
     every: float = option(1.0, "seconds from one reading to the next, the first at the start", above=0.0)
@@ -38,7 +38,7 @@ class Stations(Observer):
             raise ConfigurationError(f"observer 'stations': positions must be [[x, y], ...], got {self.positions}")
 
     def suit(self, space: StateSpace, dt: float) -> None:
-        """Raise ConfigurationError for a variable without places, a station outside, an ``every`` no multiple of dt."""
+        """Check the variable's coordinates, the stations' places and ``every``; raises ConfigurationError."""
         require_steps(self.every, dt, self.label)
         nodes = self.require_places(space, self.variable)
         if not self.positions:

@@ -1,12 +1,13 @@
 """EnIE-2D, ensemble interval estimation: fly towards the sector that is most uncertain, or most polluted.
 
-Around the vehicle the plane is cut into Q sectors; sector q holds the M_q nodes whose direction from the vehicle lies
+The plane around the vehicle is divided into Q sectors. Sector q holds the M_q nodes whose direction from the vehicle is
 in [(q - 1) 2 pi / Q, q 2 pi / Q). Its score, with anomalies A_q (N, M_q) and mean mu (M_q,) of the concentration, is ::
 
     1 / M_q ( sqrt( tr(A_q A_q^T) / (N - 1) ) + theta_t sum_j mu_j )
 
-and the vehicle flies a full step along the middle of the best sector, q 2 pi / Q - pi / Q. Where a building or the rim
-is in the way, 2 pi / Q is subtracted until the way is free; enclosed on all sides, it hovers and says so.
+The vehicle flies a full step along the middle of the best sector, q 2 pi / Q - pi / Q. If a building or the edge of the
+domain is in the way, 2 pi / Q is subtracted until the way is free. If no direction is free, the vehicle hovers and the
+log says so.
 
 Gioia et al. (2024), eq. (EnIE), doi:10.1109/SDF63218.2024.10773899. A sector without nodes is never chosen.
 """
@@ -38,7 +39,7 @@ def sector_scores(
     angle = np.arctan2(coordinates[:, 1] - position[1], coordinates[:, 0] - position[0])
     angle += TWO_PI * (angle < 0.0)
     sector = np.zeros(len(angle), dtype=np.intp)
-    # Angles in no order make a search for the sector guess wrong: comparing all with each edge is quicker.
+    # For unsorted angles a binary search mispredicts branches; comparing all angles with each edge is faster.
     for edge in np.arange(1, n_sectors) * TWO_PI / n_sectors:
         sector += angle >= edge
     nodes = np.bincount(sector, minlength=n_sectors)
@@ -73,11 +74,11 @@ class EnIE2D(Policy):
         return float(np.interp(t, self._times, self._weights))
 
     def suit(self, space: StateSpace) -> None:
-        """Raise ConfigurationError where the variable is not there or has no coordinates in the plane."""
+        """Raise ConfigurationError if the variable does not exist or has no coordinates in the plane."""
         self.require_places(space, self.variable)
 
     def decide(self, belief: Ensemble, vehicle: Vehicle, rng: np.random.Generator) -> Route:
-        """Return one straight leg for each vehicle, decided by itself."""
+        """Return one straight leg for each vehicle, decided independently of the others."""
         if not len(vehicle.positions):
             return Route(())
         coordinates = self.require_places(belief.space, self.variable)

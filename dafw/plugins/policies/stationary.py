@@ -12,8 +12,8 @@ from dafw.core.interfaces import Policy
 
 @dataclass
 class Stationary(Policy):
-    """The policy of a study without vehicles, and the one to beat with them."""
+    """The policy of a study without vehicles; with vehicles it is the baseline for other policies."""
 
     def decide(self, belief: Ensemble, vehicle: Vehicle, rng: np.random.Generator) -> Route:
-        """Return the route on which nobody moves."""
+        """Return the route on which no vehicle moves."""
         return Route.hover(vehicle)

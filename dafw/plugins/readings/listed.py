@@ -1,7 +1,7 @@
-"""A list of readings: what somebody wrote down, or a script brings along.
+"""A list of readings, given in a configuration or by a script.
 
-Each reading has its own time and may become known later than it was taken. It is about a place, where the value of the
-state is interpolated between the nodes, or about an entry of a variable that has no places.
+Each reading has its own time and may arrive later than it was taken. It belongs to a place, to which the state is
+interpolated between the nodes, or to an entry of a variable without coordinates.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ KEYS = ("time", "value", "x", "y", "entry", "sd", "arrives")
 
 @dataclass
 class Listed(Readings):
-    """Readings by a list of mappings.
+    """Readings given as a list of mappings.
 
     Each has ``time`` (s), ``value``, and ``x`` and ``y`` (m) or ``entry`` (counted from 0; a variable of one number
-    needs neither); it may have ``sd``, the standard deviation of its error, and ``arrives``, the time (s) at which it
-    becomes known, which is its own time where nothing else is said.
+    needs neither). It may have ``sd``, the standard deviation of its error, and ``arrives``, the time (s) at which it
+    arrives; by default that is ``time``.
     """
 
     readings: list[dict[str, Any]] = option(
@@ -61,7 +61,7 @@ class Listed(Readings):
                 if key not in reading:
                     raise ConfigurationError(f"{where} must have a {key}, got {', '.join(reading)}")
             for key, value in reading.items():
-                # numpy's numbers, too: in Python such lists come from arrays.
+                # Numpy numbers are accepted, too, because lists made in Python often come from arrays.
                 number_like = isinstance(value, Real) and not isinstance(value, bool)
                 if not number_like or not np.isfinite(float(value)):
                     raise ConfigurationError(f"{where}: {key} must be a finite number, got {value!r}")
@@ -75,7 +75,7 @@ class Listed(Readings):
                 )
 
     def suit(self, space: StateSpace, domain: Domain | None, dt: float) -> None:
-        """Raise ConfigurationError where a reading is about no place and no entry of the variable."""
+        """Raise ConfigurationError if a reading's place or entry is not one of the variable."""
         variable = space.variables[0] if self.variable is None else space[self.variable]
         for number, reading in enumerate(self.readings):
             if "entry" not in reading and "x" not in reading and variable.size > 1:
@@ -97,7 +97,7 @@ class Listed(Readings):
     def _entries(
         self, readings: Sequence[Mapping[str, Any]], space: StateSpace, domain: Domain | None
     ) -> tuple[IntArray, Array]:
-        """Return which entries of the state make each reading, and how much each counts, both (R, 3)."""
+        """Return for each reading the indices of entries of the state and their weights, both (R, 3)."""
         variable = space.variables[0] if self.variable is None else space[self.variable]
         indices, weights = np.zeros((len(readings), 3), dtype=np.int64), np.zeros((len(readings), 3))
         triangles = domain.triangles if domain is not None and variable is space.variables[0] else None
@@ -112,7 +112,7 @@ class Listed(Readings):
         return indices + space.slice(variable.name).start, weights
 
     def take(self, request: Request, rng: np.random.Generator) -> Sequence[Observation]:
-        """Return an observation for each reading that became known in this cycle, those before the start with it."""
+        """Return an observation for each reading that arrived in this cycle; the first cycle includes earlier ones."""
         opened = -np.inf if request.cycle == 0 else request.start
         due = [r for r in self.readings if opened < r.get("arrives", r["time"]) <= request.end]
         indices, weights = self._entries(due, request.space, request.domain)

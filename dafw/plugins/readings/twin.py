@@ -1,4 +1,4 @@
-"""The twin experiment: readings are what the observer would read of a truth, with noise.
+"""The twin experiment: the readings are those that the observer would take of a truth, with noise.
 
 y = H(truth) + e,    e ~ N(0, R)    with the covariance R that the readings' noise has (not what the filter is told)
 """
@@ -18,7 +18,7 @@ from dafw.core.observation import Observation, colour
 
 @dataclass
 class Twin(Readings):
-    """Reads the study's truth along the route; nothing comes late."""
+    """Reads the study's truth along the route; no reading is late."""
 
     needs_truth = True
 
