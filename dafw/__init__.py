@@ -1,6 +1,6 @@
 """dafw: a laboratory for data-assimilation studies.
 
-Whatever a study or a plugin package needs is importable from here, and loaded when first asked for.
+Everything that a study or a plugin package needs can be imported from here; it is loaded on first use.
 """
 
 from __future__ import annotations
@@ -144,7 +144,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Load a public name from where it lives."""
+    """Load a public name from the module that defines it."""
     if name not in _HOME:
         raise AttributeError(f"module 'dafw' has no attribute '{name}'")
     value = getattr(import_module(_HOME[name]), name)

@@ -2,7 +2,7 @@
 
 ``check_filter(factory)``, ``check_model(factory)`` and so on run every check of their kind on the plugins that
 ``factory()`` makes, return the outcomes, and raise ConformanceError naming every check that failed. ``run_checks``
-yields the outcomes one by one. Checks that a plugin does not mean to pass it declares, with a reason, in
+yields the outcomes one by one. A plugin declares checks that it is meant to fail, each with a reason, in
 ``expected_failures``.
 docs/conformance.md says what each check is for.
 

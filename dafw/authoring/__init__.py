@@ -1,4 +1,4 @@
-"""What plugin authors use: conformance kit (public as ``dafw.testing``), templates, bases for functions and programs.
+"""Tools for plugin authors: conformance kit (public as ``dafw.testing``), templates, models of functions and programs.
 
-Importing this package loads none of it.
+Importing this package loads none of its modules.
 """

@@ -1,7 +1,8 @@
-"""What a check is, how checks are run, and what comes of them.
+"""Checks of plugins: their registration, how they are run, and their outcomes.
 
-A check is a function that gets a factory of fresh plugins and raises where the plugin does not do what its interface
-promises. Its name is the function's name, its reason the docstring; docs/conformance.md has a section for each.
+A check is a function that takes a factory of fresh plugins and raises an error if the plugin does not do what its
+interface promises. The function's name is the name of the check, and its docstring says what is checked and why;
+docs/conformance.md has a section for each.
 """
 
 from __future__ import annotations
@@ -29,8 +30,8 @@ class ConformanceError(ComputationError):
     """A plugin does not do what its interface promises; the message names plugin, check and what was found."""
 
 
-class NotApplicable(Exception):  # noqa: N818  # says so, and is no error
-    """Raised by a check that means nothing for this plugin, with the reason."""
+class NotApplicable(Exception):  # noqa: N818  # a result of a check, not an error
+    """Raised by a check that does not apply to this plugin, with the reason."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ class Check:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a check: ``status`` and, except where it passed, why."""
+    """The outcome of a check: its ``status`` and, unless it passed, the reason."""
 
     check: Check
     status: str
@@ -54,7 +55,7 @@ class Outcome:
 
     @property
     def ok(self) -> bool:
-        """Whether nothing needs mending."""
+        """Whether the plugin needs no fix."""
         return self.status in (PASSED, SKIPPED, EXPECTED)
 
 
@@ -70,7 +71,7 @@ def check(kind: str) -> Callable[[Callable[[Factory], None]], Callable[[Factory]
 
         @wraps(function)
         def run(factory: Factory) -> None:
-            # As studies run: with several threads the small matrices of the checks are slower, not quicker.
+            # One thread, as in studies: for the small matrices of the checks several threads are slower.
             with threadpool_limits(limits=1, user_api="blas"):
                 function(factory)
 
@@ -94,7 +95,7 @@ def made(kind: str, factory: Factory) -> Plugin:
 
 
 def factory_of(spec: PluginSpec) -> Factory:
-    """Return what makes fresh plugins with the options that they want to be checked under; raises PluginError."""
+    """Return a factory of fresh plugins with the options of their ``check_options``; raises PluginError."""
     options = registry().plugin_class(spec.kind, spec.name).check_options()
 
     def make() -> Any:
@@ -104,7 +105,7 @@ def factory_of(spec: PluginSpec) -> Factory:
 
 
 def run_check(one: Check, factory: Factory, expected: str | None = None) -> Outcome:
-    """Run one check; ``expected`` is the reason why it is declared to fail, None where it is not."""
+    """Run one check; ``expected`` is the reason if the plugin declares that it fails, otherwise None."""
     begun = perf_counter()
     try:
         one.run(factory)
@@ -113,7 +114,7 @@ def run_check(one: Check, factory: Factory, expected: str | None = None) -> Outc
         return Outcome(one, SKIPPED, str(reason), perf_counter() - begun)
     except ConformanceError as error:
         status, detail = FAILED, str(error)
-    except Exception as error:  # whatever else a plugin raises is what was found
+    except Exception as error:  # any other error of the plugin is a finding of the check
         status, detail = FAILED, f"{type(error).__name__}: {' '.join(str(error).split())}"
     if expected is not None:
         status, detail = (EXPECTED, expected) if status == FAILED else (UNEXPECTED, f"declared to fail: {expected}")
@@ -123,7 +124,7 @@ def run_check(one: Check, factory: Factory, expected: str | None = None) -> Outc
 def run_checks(kind: str, factory: Factory) -> Iterator[Outcome]:
     """Run all checks of a kind on the plugins that ``factory()`` makes, one outcome at a time.
 
-    Raises ConformanceError where the factory makes something else, and whatever the factory itself raises.
+    Raises ConformanceError if the factory makes another kind of plugin, and the errors of the factory itself.
     """
     plugin = made(kind, factory)
     for one in CHECKS[kind].values():
@@ -131,7 +132,7 @@ def run_checks(kind: str, factory: Factory) -> Iterator[Outcome]:
 
 
 def demand(kind: str, factory: Factory) -> list[Outcome]:
-    """Run all checks and return their outcomes; raises ConformanceError naming every one that needs mending."""
+    """Run all checks and return their outcomes; raises ConformanceError that names every failed one."""
     label = made(kind, factory).label
     outcomes = list(run_checks(kind, factory))
     wrong = [f"{outcome.check.name}: {outcome.status}, {outcome.detail}" for outcome in outcomes if not outcome.ok]

@@ -1,4 +1,4 @@
-"""What the checks compare: copies, bits, round trips through a file, global generators, averages over seeds."""
+"""Comparisons that the checks use: bits, round trips through a file, global generators, averages over seeds."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from dafw.core.ensemble import Memory
 from dafw.core.space import Array, Kind, StateSpace
 
 FALSE_ALARM = 1e-6
-"""Probability with which ``require_mean`` refuses a right plugin, were the seeds not fixed."""
+"""Probability that ``require_mean`` would reject a correct plugin if the seeds were random."""
 
 
 def frozen(values: Any) -> bytes:
@@ -30,7 +30,7 @@ def frozen(values: Any) -> bytes:
 
 
 def restored(memory: Memory | None) -> Memory | None:
-    """Return the memory as it comes back from a file; raises ConformanceError where a file cannot hold it."""
+    """Return the memory after a round trip through a file; raises ConformanceError if a file cannot hold it."""
     if memory is None:
         return None
     require(isinstance(memory, Mapping), f"a memory must map names to arrays, got a {type(memory).__name__}")
@@ -46,7 +46,7 @@ def restored(memory: Memory | None) -> Memory | None:
 
 @contextmanager
 def global_generators(seed: int = 0) -> Iterator[None]:
-    """Seed the global generators of ``random`` and NumPy, and leave both as they were found."""
+    """Seed the global generators of ``random`` and NumPy, and restore both at the end."""
     python, numpy = random.getstate(), np.random.get_state()  # noqa: NPY002
     random.seed(seed)
     np.random.seed(seed)  # noqa: NPY002
@@ -71,7 +71,7 @@ def no_global_draws() -> Iterator[None]:
 
 
 def state_of(rng: np.random.Generator) -> bytes:
-    """Return where a generator stands."""
+    """Return the state of a generator."""
     return pickle.dumps(rng.bit_generator.state)
 
 
@@ -89,7 +89,7 @@ def require_close(found: Array, expected: Array, tolerance: float, message: str)
 
 
 def require_in_set(space: StateSpace, members: Array, what: str) -> None:
-    """Raise ConformanceError where a member (N, n) lies where the state may not be; ``what`` holds it."""
+    """Raise ConformanceError if a number of the members (N, n) is out of its variable's range; ``what`` names them."""
     for variable in space.variables:
         values = members[:, space.slice(variable.name)]
         if variable.kind is Kind.NONNEGATIVE:
@@ -105,7 +105,7 @@ def require_mean(samples: Array, expected: Array, message: str) -> None:
     """Raise ConformanceError unless ``expected`` (k,) can be the mean of ``samples`` (S, k), one row per seed.
 
     The tolerance comes from the samples: their standard error times Student's t at a false-alarm probability of
-    ``FALSE_ALARM`` for all k together; next to it stands an allowance for rounding.
+    ``FALSE_ALARM`` for all k together. An allowance for rounding is added.
     """
     from scipy.stats import t
 

@@ -1,4 +1,4 @@
-"""Checks of executors: whoever steps the members, the bits are those of this process."""
+"""Checks of executors: their results must have the same bits as steps in this process."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Refuses(ObservationOperator):
     """Cannot read a state whose first entry is above 1000."""
 
     def apply(self, members: Array) -> Array:
-        """Return the first entry (N, 1); raises SolverError about a member."""
+        """Return the first entry (N, 1); raises SolverError, which names the member."""
         for number, member in enumerate(members):
             with about_member(number):
                 if member[0] > 1e3:
@@ -51,13 +51,13 @@ REFUSES = Refuses(covariance=np.ones(1))
 
 
 def _model() -> Model:
-    """Return a registered model with a memory and with model error: workers can make it anew."""
+    """Return a model with memory and model error; it is registered, so that workers can make it."""
     model: Model = registry().create("model", {**MODEL, **MODEL_ERROR})
     return model
 
 
 def _batch(model: Model, n_members: int, cycle: int = 0, **changes: object) -> Batch:
-    """Return a batch of members in the middle of a run: their memory is no longer what it was at first."""
+    """Return a batch of members in the middle of a run, when their memory is no longer the initial one."""
     members = model.first_guess(n_members, Streams(cycle).members("initial", 0)).ensemble.members
     memory = {"error": 0.1 + members[:, ::-1]}
     batch = Batch(members, memory, float(cycle), Streams(7).members("error", cycle))
@@ -85,7 +85,7 @@ def _require_same(found: Stepped, expected: Stepped, message: str) -> None:
 
 @check("executor")
 def same_bits(factory: Factory) -> None:
-    """However many members there are, memory and model error included, they are those stepped in this process, bit for bit."""  # noqa: E501
+    """For any number of members, the results, with memory and model error, are those of this process, bit for bit."""
     with _started(factory) as (executor, model):
         for n_members in (1, 2, 3, 7, 16):
             batch = _batch(model, n_members)
@@ -95,7 +95,7 @@ def same_bits(factory: Factory) -> None:
 
 @check("executor")
 def several_steps(factory: Factory) -> None:
-    """A batch of several steps gives the members after the last or after all of them, and what operators read on the way."""  # noqa: E501
+    """A batch of several steps gives the members after the last step or after every step, and the readings of the operators in between."""  # noqa: E501
     with _started(factory) as (executor, model):
         for keep in (False, True):
             for operators in ({}, {1: SUMS, 3: SUMS}):
@@ -106,18 +106,18 @@ def several_steps(factory: Factory) -> None:
 
 @check("executor")
 def several_at_once(factory: Factory) -> None:
-    """Several batches may be under way at once, be waited for in another order, or never."""
+    """Several batches may be under way at once; their results may be fetched in another order, or never."""
     with _started(factory) as (executor, model):
         batches = [_batch(model, 5, cycle, n_steps=1 + cycle % 2) for cycle in range(4)]
         under_way = [executor.submit(model, batch) for batch in batches]
-        for number in (2, 0, 3):  # nobody waits for number 1
+        for number in (2, 0, 3):  # number 1 is never fetched
             message = f"batch {number} of four that were under way at once"
             _require_same(under_way[number](), step_members(model, batches[number]), message)
 
 
 @check("executor")
 def errors(factory: Factory) -> None:
-    """What a model or an operator raises comes back with its name and the number of the member, and the next batch is not spoilt."""  # noqa: E501
+    """An error of a model or an operator is raised again with its name and the number of the member, and does not affect the next batch."""  # noqa: E501
     with _started(factory) as (executor, model):
         for wrong in (0, 4):
             batch = _batch(model, 5, operators={1: REFUSES})
@@ -137,7 +137,7 @@ def errors(factory: Factory) -> None:
 
 @check("executor")
 def close(factory: Factory) -> None:
-    """Closing ends everything, even what nobody waited for; it may be called twice, and before the start."""
+    """Closing ends everything, even batches whose results were not fetched; it may be called twice, and before the start."""  # noqa: E501
     import psutil  # type: ignore[import-untyped]
 
     this = psutil.Process()
@@ -158,7 +158,7 @@ def close(factory: Factory) -> None:
 
 
 def _is_pythons_own(process: Any) -> bool:
-    """Say whether it is a helper that Python keeps for the life of this process."""
+    """Return whether it is a helper process that Python keeps for the life of this process."""
     try:
         return "multiprocessing.resource_tracker" in " ".join(process.cmdline())
     except Exception:  # it is gone already

@@ -1,4 +1,4 @@
-"""Checks of filters: the interface, and what no filter may depend on. Against the exact answer: filter_kalman.py."""
+"""Checks of filters: the interface, and what no filter may depend on. filter_kalman.py compares exact answers."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from dafw.core.space import Array
 from dafw.core.window import Window
 
 WORTHLESS = 1e16
-"""Factor on R that leaves readings without any worth."""
+"""Factor on R that leaves the readings without information."""
 
 
 @check("filter")
@@ -56,7 +56,7 @@ def shapes(factory: Factory) -> None:
 
 @check("filter")
 def inputs_unchanged(factory: Factory) -> None:
-    """Forecast, predicted readings, observation and memory are left as they were handed in: others still need them."""
+    """An analysis does not change the forecast, predicted readings, observation or memory: they are still needed."""
 
     def handed(first: Ensemble | Window, *rest: Any) -> dict[str, Any]:
         if isinstance(first, Window):
@@ -86,14 +86,14 @@ def determinism(factory: Factory) -> None:
 
 @check("filter")
 def own_generator(factory: Factory) -> None:
-    """Random numbers come from the generator handed in: global ones are shared, and change when anything else does."""
+    """Random numbers come from the generator passed in, never from global ones, which any other code may advance."""
     with no_global_draws():
         asked(factory, linear_problem(6))
 
 
 @check("filter")
 def told_covariance(factory: Factory) -> None:
-    """A filter knows the errors of the readings as it is told them: how the noise was really drawn is the truth's."""
+    """A filter uses only the covariance R that it is given; it does not look at the covariance that the noise was drawn from."""  # noqa: E501
     problem = linear_problem(8)
     operator = dataclasses.replace(problem.operator, noise_covariance=7.0 * problem.operator.covariance)
     other = dataclasses.replace(problem, operator=operator)
@@ -126,10 +126,10 @@ def reading_order(factory: Factory) -> None:
 
 
 def _worthless(factory: Factory, problem: Problem) -> list[tuple[int, Cycle]]:
-    """Return the number and the cycle of analyses whose readings are worth nothing.
+    """Return the number and the cycle of analyses whose readings carry no information.
 
-    That is the first, and the third after two of readings that are worth something. A filter that looks back may weigh
-    those once more: all of its readings are worth nothing.
+    These are the first analysis, and the third after two whose readings are informative. A filter that looks back may
+    use these two again, so none of its readings are informative.
     """
     nothing = problem.with_errors(WORTHLESS)
     if factory().window != 0:
@@ -139,7 +139,7 @@ def _worthless(factory: Factory, problem: Problem) -> list[tuple[int, Cycle]]:
 
 @check("filter")
 def prior_kept(factory: Factory) -> None:
-    """Readings that are worth nothing (R without bound) leave mean and covariance of the forecast as they were."""
+    """Readings without information (a huge R) do not change the mean and covariance of the forecast."""
     for full in (False, True):
         for number, cycle in _worthless(plain(factory), linear_problem(8, 5, 3, full=full)):
             message = f"analysis {number}: with R -> infinity the prior has changed"
@@ -148,7 +148,7 @@ def prior_kept(factory: Factory) -> None:
 
 @check("filter")
 def inflation(factory: Factory) -> None:
-    """Inflation widens a forecast whose readings are worth nothing by its factor, whatever is allowed, about the same mean."""  # noqa: E501
+    """If the readings carry no information, inflation multiplies the anomalies by its factor, for any accepted value, and keeps the mean."""  # noqa: E501
     name = inflation_option(factory())
     if name is None:
         raise NotApplicable("has no option 'inflation' and declares no other as inflation_option")
@@ -165,7 +165,7 @@ def inflation(factory: Factory) -> None:
 
 @check("filter")
 def angle_seam(factory: Factory) -> None:
-    """An angle has no preferred direction: a belief turned across 0 = 2 pi has the same analysis, turned as far."""
+    """An angle has no preferred direction: if a belief is rotated across 0 = 2 pi, its analysis is rotated by the same angle."""  # noqa: E501
     space, angle = gas_space(), gas_space().slice("wind_direction")
     problem = accepted(factory, gas_problem(np.pi))
     for turn in (np.pi, np.pi - 0.3, np.pi + 0.3):
@@ -181,7 +181,7 @@ def angle_seam(factory: Factory) -> None:
 
 @check("filter")
 def stays_in_set(factory: Factory) -> None:
-    """Analyses stay where the state may be: what cannot be negative is not, what is positive is above zero, and angles lie in [0, 2 pi)."""  # noqa: E501
+    """Analyses keep every variable in its range: nonnegative numbers are not below zero, positive numbers are above zero, and angles lie in [0, 2 pi)."""  # noqa: E501
     for seed, problem in enumerate(bounded_problems()):
         for cycle in asked(factory, accepted(factory, problem), seed=seed, still=True):
             require_in_set(problem.forecast.space, after(cycle).members, "the analysis")
@@ -189,7 +189,7 @@ def stays_in_set(factory: Factory) -> None:
 
 @check("filter")
 def infinite_radius(factory: Factory) -> None:
-    """With a localization radius without bound the analysis is the global one: it matters no longer where readings are."""  # noqa: E501
+    """With a huge localization radius the analysis is the global one: the places of the readings no longer matter."""
     option = factory().localization_option
     if option is None:
         raise NotApplicable("declares no localization_option")
@@ -203,7 +203,7 @@ def infinite_radius(factory: Factory) -> None:
 
 @check("filter")
 def restart(factory: Factory) -> None:
-    """A run cut off after any cycle and continued from its file has the same bits: nothing is remembered on the plugin."""  # noqa: E501
+    """A run stopped after any cycle and continued from its file has the same bits: the plugin keeps nothing on itself."""  # noqa: E501
     problem = linear_problem(6)
     study = study_of(*(dataclasses.replace(problem, values=problem.values + 0.1 * cycle) for cycle in range(5)))
     study = study.remembering(error_sd=0.1)

@@ -1,4 +1,4 @@
-"""Checks of filters against the Kalman filter, as closely as they declare themselves to agree with it."""
+"""Checks of filters against the Kalman filter, with the accuracy that the filter declares."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from dafw.core.interfaces import Filter
 
 ACCURACIES = ("exact", "statistical", "none")
 MANY = 200
-"""Members of one sample where agreement is statistical."""
+"""Number of members in one sample of the statistical check."""
 
 
 def require_accuracy(filter_: Filter, wanted: str) -> None:
@@ -26,7 +26,7 @@ def require_accuracy(filter_: Filter, wanted: str) -> None:
 
 @check("filter")
 def kalman_exact(factory: Factory) -> None:
-    """Where all is linear and Gaussian, sample mean and covariance of the analysis are the Kalman filter's, to rounding."""  # noqa: E501
+    """For linear, Gaussian problems, sample mean and covariance of the analysis are the Kalman filter's, to rounding."""  # noqa: E501
     require_accuracy(factory(), "exact")
     for n_members, n, m, full in ((12, 5, 3, False), (12, 5, 3, True), (4, 8, 5, True), (3, 4, 1, False)):
         problem = linear_problem(n_members, n, m, full=full)
@@ -41,7 +41,7 @@ def kalman_exact(factory: Factory) -> None:
 
 @check("filter")
 def kalman_statistical(factory: Factory) -> None:
-    """Where all is linear and Gaussian, mean and covariance of the analysis are the Kalman filter's on average over samples of many members."""  # noqa: E501
+    """For linear, Gaussian problems, mean and covariance of the analysis are the Kalman filter's on average over samples of many members."""  # noqa: E501
     require_accuracy(factory(), "statistical")
     n, m = 4, 2
     problem, root = linear_problem(MANY, n, m, full=True, seed=0), np.linalg.cholesky(prior(n)[1])

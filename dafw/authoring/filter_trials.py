@@ -1,4 +1,4 @@
-"""How the checks try a filter: the problems it is given, and how its analyses are held against each other."""
+"""Trials of filters for the checks: the problems that a filter is given, and the comparison of its analyses."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ ROUNDING = 1e-8
 
 
 def asked(factory: Factory, problem: Problem, *later: Problem, seed: int = 0, still: bool = False) -> list[Cycle]:
-    """Return the cycles of a small study of the problem: three analyses where no later problems are given."""
+    """Return the cycles of a small study of the problem: three analyses unless later problems are given."""
     return study_of(problem, *later, still=still).run(factory, seed=seed)
 
 
 def declines(factory: Factory, problem: Problem, *, still: bool = False) -> str:
-    """Return why a filter refuses the problem by a ConfigurationError, or nothing where it does not."""
+    """Return the text of the ConfigurationError by which a filter refuses the problem; '' if it accepts it."""
     try:
         asked(factory, problem, still=still)
     except ConfigurationError as error:
@@ -41,16 +41,16 @@ def declines(factory: Factory, problem: Problem, *, still: bool = False) -> str:
 
 
 def accepted(factory: Factory, problem: Problem) -> Problem:
-    """Return a problem that does not move; raises NotApplicable where the filter declines it."""
+    """Return the problem if the filter accepts it in a study that does not move; otherwise raise NotApplicable."""
     if reason := declines(factory, problem, still=True):
         raise NotApplicable(reason)
     return problem
 
 
 def moments(ensemble: Ensemble) -> Array:
-    """Return mean and covariance in one row (n + n * n,), weighted where the members have weights.
+    """Return mean and covariance in one row (n + n * n,), weighted if the members have weights.
 
-    The covariance is unbiased: for independent members, and with weights w by the divisor 1 - sum w^2.
+    The covariance is unbiased for independent members; with weights w the divisor is 1 - sum w^2.
     """
     anomalies, weights = ensemble.anomalies, ensemble.weights
     if weights is None:
@@ -61,14 +61,14 @@ def moments(ensemble: Ensemble) -> Array:
 
 
 def shares(ensemble: Ensemble) -> Array:
-    """Return how much each member counts (N,): its weight times N."""
+    """Return the weight of each member times N, (N,)."""
     return np.ones(len(ensemble)) if ensemble.weights is None else len(ensemble) * ensemble.weights
 
 
 def require_equal_law(
     factory: Factory, first: Problem, second: Problem, summary: Callable[[Ensemble, int], Array], message: str
 ) -> None:
-    """Raise unless both problems have the same analyses: to rounding, or on average where the filter draws numbers.
+    """Raise unless both problems have the same analyses: to rounding, or on average if the filter draws numbers.
 
     ``summary(belief, which)`` turns a belief after an analysis of problem 0 or 1 into the numbers (k,) that must agree.
     """
@@ -78,7 +78,7 @@ def require_equal_law(
         return np.stack([summary(after(cycle), which) for cycle in cycles])
 
     pair = summaries(0, 0), summaries(1, 0)
-    if np.array_equal(pair[0], summaries(0, 1)):  # another seed makes no difference
+    if np.array_equal(pair[0], summaries(0, 1)):  # the filter draws no random numbers
         for number, (one, other) in enumerate(zip(*pair, strict=True), 1):
             require_close(other, one, ROUNDING, f"analysis {number}: {message}")
         return
@@ -89,7 +89,7 @@ def require_equal_law(
 
 
 def problems(factory: Factory) -> Iterator[tuple[str, Problem]]:
-    """Name problems of every shape: N > n, N = n, N < n, N = 2; one reading, fewer and more than numbers; full R.
+    """Yield named problems: N > n, N = n, N < n, N = 2; one reading, fewer and more readings than n; full R.
 
     A filter may decline any of them but the first.
     """
@@ -116,7 +116,7 @@ def with_option(factory: Factory, **options: Any) -> Factory:
 
 
 def takes(factory: Factory) -> bool:
-    """Say whether the options that the factory sets are in their ranges."""
+    """Return whether the options that the factory sets are in their ranges."""
     try:
         require_options(factory(), "")
     except OptionError:
@@ -125,7 +125,7 @@ def takes(factory: Factory) -> bool:
 
 
 def has_option(filter_: Filter, name: str) -> bool:
-    """Say whether the filter has an option of that name."""
+    """Return whether the filter has an option of that name."""
     return dataclasses.is_dataclass(filter_) and any(f.name == name and f.init for f in dataclasses.fields(filter_))
 
 

@@ -1,4 +1,4 @@
-"""Checks of filters that look back: what they are handed, what they hand back, and against the exact smoother."""
+"""Checks of filters that look back: their inputs, their results, and a comparison with the exact smoother."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from dafw.core.space import Array
 from dafw.core.window import Window
 
 SHORT = 2
-"""Cycles of the window in which filters are tried that let a study choose it."""
+"""Cycles of the short window that is tried if the window is an option."""
 
 
 def _windows(factory: Factory) -> Iterator[Factory]:
-    """Give the filter as it is and, where its window is an option, with a short one; raises NotApplicable."""
+    """Yield the filter unchanged and, if its window is an option, with a short one; raises NotApplicable."""
     filter_ = factory()
     if filter_.window == 0:
         raise NotApplicable("looks back at no earlier cycle")
@@ -41,14 +41,14 @@ def _windows(factory: Factory) -> Iterator[Factory]:
 
 
 def _problems(n_cycles: int) -> list[Problem]:
-    """Return a linear problem for each cycle, all about the same members."""
+    """Return a linear problem for each cycle, all with the same members."""
     problem = linear_problem(8, 3, 2)
     values = np.random.default_rng(5).normal(0.0, 2.0, (n_cycles, 2))
     return [replace(problem, values=problem.values + each) for each in values]
 
 
 def _study(n_cycles: int, *, late: Sequence[tuple[int, int]] = (), silent: Sequence[int] = ()) -> SmallStudy:
-    """Return a study in which nothing is read in ``silent`` cycles; ``late`` are pairs of cycles: read, and arrived."""
+    """Return a study without readings in ``silent`` cycles; ``late`` holds pairs of cycles: taken, and arrived."""
     study = study_of(*_problems(n_cycles))
     arrivals = [() if cycle in silent else arrived for cycle, arrived in enumerate(study.arrivals)]
     for cycle, arrived in late:
@@ -58,7 +58,7 @@ def _study(n_cycles: int, *, late: Sequence[tuple[int, int]] = (), silent: Seque
 
 @check("filter")
 def revised_in_set(factory: Factory) -> None:
-    """Revised beliefs lie in the filter's window and where the state may be, as analyses do."""
+    """Revised beliefs belong to times in the filter's window, and every variable is in its range, as in analyses."""
     for made in _windows(factory):
         for seed, problem in enumerate(bounded_problems()):
             for cycle in study_of(accepted(made, problem), still=True).run(made, seed=seed):
@@ -69,7 +69,7 @@ def revised_in_set(factory: Factory) -> None:
 
 @check("filter")
 def past_unchanged(factory: Factory) -> None:
-    """The beliefs and readings of the window, late readings and the model's memory are left as they were handed in."""
+    """An analysis does not change the beliefs and readings of the window, the late readings or the model's memory."""
 
     def handed(window: Window) -> dict[str, Any]:
         named: dict[str, Any] = {"the model's memory of the forecast": window.forecast.memory}
@@ -95,7 +95,7 @@ def _watched(factory: Factory, named: Callable[..., dict[str, Any]]) -> Filter:
 
 @check("filter")
 def silent_cycles(factory: Factory) -> None:
-    """Cycles in which nothing was read lie in the window like others, the first of them among them."""
+    """Cycles without readings are in the window like others, also if it is the first cycle that has none."""
     for made in _windows(factory):
         for silent in ((0,), (1, 2)):
             _require_right(made, _study(4, silent=silent), f"cycles {silent} were silent")
@@ -103,7 +103,7 @@ def silent_cycles(factory: Factory) -> None:
 
 @check("filter")
 def late_readings(factory: Factory) -> None:
-    """A late reading is used whether others arrive with it or none do; an exact filter has then what it would have had in time."""  # noqa: E501
+    """A late reading is used whether or not others arrive with it; an exact filter then has the same belief as if the reading had been on time."""  # noqa: E501
     for made in _windows(factory):
         for silent in ((), (2,)):
             study = _study(4, late=[(1, 2)], silent=silent)
@@ -112,7 +112,7 @@ def late_readings(factory: Factory) -> None:
 
 @check("filter")
 def any_executor(factory: Factory) -> None:
-    """The bits do not depend on who steps the members of a re-run: operators travel, and batches come back in order."""
+    """The bits of a re-run do not depend on the executor: operators can be sent to workers, and results are in member order."""  # noqa: E501
     for made in _windows(factory):
         study = _study(4).remembering(error_sd=0.1)
         message = "it depends on who steps the members"
@@ -121,7 +121,7 @@ def any_executor(factory: Factory) -> None:
 
 @check("filter")
 def smoother_exact(factory: Factory) -> None:
-    """Where all is linear and Gaussian, revised beliefs have mean and covariance of the Rauch-Tung-Striebel smoother, to rounding."""  # noqa: E501
+    """For linear, Gaussian problems, revised beliefs have mean and covariance of the Rauch-Tung-Striebel smoother, to rounding."""  # noqa: E501
     for made in _windows(factory):
         require_accuracy(factory(), "exact")
         cycles = _require_right(made, _study(5), "all readings came in time")
@@ -130,7 +130,7 @@ def smoother_exact(factory: Factory) -> None:
 
 
 def _require_right(factory: Factory, study: SmallStudy, message: str) -> list[Cycle]:
-    """Run the study; raise where an exact filter has other beliefs than the exact smoother. Return its cycles."""
+    """Run the study and return its cycles; raise if an exact filter's beliefs differ from the exact smoother's."""
     cycles = study.run(plain(factory))
     if factory().accuracy != "exact":
         return cycles
@@ -146,9 +146,9 @@ def _require_right(factory: Factory, study: SmallStudy, message: str) -> list[Cy
 
 
 def rauch_tung_striebel(study: SmallStudy, known: Sequence[Observation], n_cycles: int) -> list[Array]:
-    """Return mean and covariance (n + n * n,) of the states after 0 ... ``n_cycles`` cycles, given what is known.
+    """Return mean and covariance (n + n * n,) of the states after 0 ... ``n_cycles`` cycles, given the ``known``.
 
-    Rauch, Tung and Striebel (1965), doi:10.2514/3.3166, as filterpy has it.
+    Rauch, Tung and Striebel (1965), doi:10.2514/3.3166, computed by filterpy.
     """
     from filterpy.kalman import KalmanFilter, rts_smoother
 
@@ -174,14 +174,14 @@ def rauch_tung_striebel(study: SmallStudy, known: Sequence[Observation], n_cycle
 
 @dataclass
 class Elsewhere(Executor):
-    """Steps copies that have travelled, with a model that has, in small batches, the last one first."""
+    """Imitates workers: steps pickled copies with a pickled model, in small batches, the last batch first."""
 
     def width(self) -> int:
         """Return the number of batches."""
         return 3
 
     def begin(self, model: Model, batches: Sequence[Batch]) -> Callable[[], Sequence[Stepped]]:
-        """Send everything off; step it when somebody waits for it."""
+        """Copy everything; step it when the result is fetched."""
         sent = pickle.dumps((model, list(batches)))
 
         def wait() -> Sequence[Stepped]:

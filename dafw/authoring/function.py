@@ -1,7 +1,7 @@
-"""A model that is a plain function ``step(members, t, dt)``: the way in for code that knows nothing of dafw.
+"""A model made from a plain function ``step(members, t, dt)``, for code that does not know dafw.
 
-A package hands the function over in its own Python code and registers the class that comes back. It is no option: a
-configuration file can choose among what is installed, never name code to be run.
+A package passes the function in its own Python code and registers the returned class. The function cannot be an
+option: a configuration file may choose among installed plugins, but never name code to be run.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from dafw.core.space import Array, StateSpace
 
 
 class _FunctionModel(Model):
-    """What all models made of functions share."""
+    """Base of all models made from functions."""
 
     step_function: Callable[..., Any]
     draw: Callable[[np.random.Generator], Any]
@@ -34,7 +34,7 @@ class _FunctionModel(Model):
         return rng.draw(n_members, type(self).draw)
 
     def step(self, members: Array, t: float, rng: MemberStreams) -> Array:
-        """Return what the function makes of the members (N, n), and the additive model error where there is one."""
+        """Return the function's result for the members (N, n), plus the additive model error if there is one."""
         arguments = {name: getattr(self, name) for name in self.parameters}
         # A copy: plain functions often work in place.
         stepped = type(self).step_function(members.copy(), t, self.dt, **arguments)
@@ -47,7 +47,7 @@ class _FunctionModel(Model):
 def model_from_function(
     step: Callable[..., Any], *, space: StateSpace, initial: Callable[[np.random.Generator], Any], dt: float = 1.0
 ) -> type[Model]:
-    """Return a model class, to be registered as a plugin, whose step is the function ``step(members, t, dt)``.
+    """Return a model class whose step is the function ``step(members, t, dt)``, to be registered as a plugin.
 
     ``step`` gets the members (N, n), which it may overwrite, the time and the time step in seconds, and returns the
     members at t + dt. Its keyword-only parameters, each with a type and a default, become the plugin's options, next

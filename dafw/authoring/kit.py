@@ -1,4 +1,4 @@
-"""The checks of all kinds of plugins, and what runs them; public as ``dafw.testing``."""
+"""The checks of all kinds of plugins, and the functions that run them; public as ``dafw.testing``."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ def _streams(role: str, cycle: int = 0, seed: int = 0) -> MemberStreams:
 
 
 def stepped(model: Model, n_members: int = MEMBERS, steps: int = STEPS) -> list[Forecast]:
-    """Return the first guess and what follows from it, one forecast a step."""
+    """Return the first guess and the forecasts of the following steps."""
     states = [model.first_guess(n_members, _streams("initial"))]
     for cycle in range(steps):
         states.append(model.forecast(states[-1].ensemble, states[-1].memory, _streams("step", cycle)))
@@ -46,7 +46,7 @@ def shapes(factory: Factory) -> None:
 
 @check("model")
 def inputs_unchanged(factory: Factory) -> None:
-    """A step leaves the members and the memory that it was handed as they were: the cycle still needs them."""
+    """A step does not change the members and the memory that it is given: the cycle still needs them."""
     model = factory()
     state = stepped(model, steps=1)[-1]
     members, memory = frozen(state.ensemble.members), frozen(state.memory)
@@ -68,14 +68,14 @@ def determinism(factory: Factory) -> None:
 
 @check("model")
 def own_generator(factory: Factory) -> None:
-    """Random numbers come from the streams handed in: global ones are shared, and change when anything else does."""
+    """Random numbers come from the streams passed in, never from global generators, which any other code may advance."""  # noqa: E501
     with no_global_draws():
         stepped(factory(), steps=1)
 
 
 @check("model")
 def larger_ensemble(factory: Factory) -> None:
-    """A larger ensemble leaves the first guesses of the members that were there before as they were."""
+    """Adding members to an ensemble does not change the first guesses of the others."""
     model = factory()
     small = model.first_guess(2, _streams("initial")).ensemble.members
     large = model.first_guess(5, _streams("initial")).ensemble.members
@@ -84,7 +84,7 @@ def larger_ensemble(factory: Factory) -> None:
 
 @check("model")
 def batches(factory: Factory) -> None:
-    """Members stepped elsewhere, are those stepped together, bit for bit: serial and parallel runs agree."""
+    """Members stepped in separate batches equal members stepped together, bit for bit: serial and parallel runs agree."""  # noqa: E501
     with global_generators():
         state = stepped(factory(), steps=1)[-1]
         together = factory().forecast(state.ensemble, state.memory, _streams("step", 1))
@@ -106,7 +106,7 @@ def _rows(memory: Memory | None, batch: slice) -> Memory | None:
 
 @check("model")
 def restart(factory: Factory) -> None:
-    """A run cut off after any step and continued from its file has the same bits: nothing is remembered on the plugin."""  # noqa: E501
+    """A run stopped after any step and continued from its file has the same bits: the plugin keeps nothing on itself."""  # noqa: E501
     with global_generators():
         whole = stepped(factory())
     with global_generators():
@@ -122,7 +122,7 @@ def restart(factory: Factory) -> None:
 
 @check("model")
 def first_guess_in_set(factory: Factory) -> None:
-    """First guesses lie where the state may be: what cannot be negative is not, what is positive is above zero, and angles lie in [0, 2 pi)."""  # noqa: E501
+    """First guesses are in the range of each variable: nonnegative numbers are not below zero, positive numbers are above zero, and angles lie in [0, 2 pi)."""  # noqa: E501
     model = factory()
     members = model.first_guess(20, _streams("initial")).ensemble.members
     require_in_set(model.space, members, "a first guess")
@@ -130,7 +130,7 @@ def first_guess_in_set(factory: Factory) -> None:
 
 @check("model")
 def steps_in_set(factory: Factory) -> None:
-    """Steps keep the state where it may be: what cannot be negative is not, what is positive is above zero, and angles lie in [0, 2 pi)."""  # noqa: E501
+    """Steps keep every variable in its range: nonnegative numbers are not below zero, positive numbers are above zero, and angles lie in [0, 2 pi)."""  # noqa: E501
     model = factory()
     for state in stepped(model)[1:]:
         require_in_set(model.space, state.ensemble.members, "a step")

@@ -29,7 +29,7 @@ def _operators(observer: Observer) -> Iterator[tuple[Route, float, ObservationOp
 
 @check("observer")
 def shapes(factory: Factory) -> None:
-    """An operator reads every member, one or several, into as many finite numbers as R has, and places them if at all."""  # noqa: E501
+    """An operator gives for every member, one or several, as many finite readings as R has rows; if they have places, one for each reading."""  # noqa: E501
     observer = factory()
     space = space_for(observer)
     for _, _, operator in _operators(observer):
@@ -45,7 +45,7 @@ def shapes(factory: Factory) -> None:
 
 @check("observer")
 def covariances(factory: Factory) -> None:
-    """R, and the covariance that noise is drawn by, are symmetric and positive definite: filters invert, runs draw."""
+    """R and the covariance of the noise are symmetric and positive definite: filters invert R, and runs draw the noise."""  # noqa: E501
     for _, _, operator in _operators(factory()):
         for name, R in (("R", operator.covariance), ("the noise covariance", operator.noise)):  # noqa: N806
             if R.ndim == 2 and R.size:
@@ -56,7 +56,7 @@ def covariances(factory: Factory) -> None:
 
 @check("observer")
 def inputs_unchanged(factory: Factory) -> None:
-    """Reading leaves the members as they were."""
+    """Reading does not change the members."""
     observer = factory()
     members = np.array(belief(space_for(observer)).members)
     before = frozen(members)
@@ -67,7 +67,7 @@ def inputs_unchanged(factory: Factory) -> None:
 
 @check("observer")
 def determinism(factory: Factory) -> None:
-    """The same route at the same time gives the same readings and R, bit for bit: noise is the cycle's to draw."""
+    """The same route at the same time gives the same readings and R, bit for bit: the cycle adds the noise, not the observer."""  # noqa: E501
     with global_generators():
         first = _readings(factory())
     with global_generators():
@@ -78,7 +78,7 @@ def determinism(factory: Factory) -> None:
 
 @check("observer")
 def own_generator(factory: Factory) -> None:
-    """An observer draws no random numbers: it has no generator, and global ones are shared with everybody."""
+    """An observer draws no random numbers: it is given no generator, and global ones may be advanced by any other code."""  # noqa: E501
     with no_global_draws():
         _readings(factory())
 
@@ -99,12 +99,12 @@ def _reported(operator: ObservationOperator) -> list[Array]:
 
 @check("observer")
 def diagnostics(factory: Factory) -> None:
-    """What an observer reports has the same axes and lengths in every cycle: a run file has one variable for it."""
+    """A diagnostic of an observer has the same axes and lengths in every cycle: a run file has one variable for it."""
     first: dict[tuple[str, int], tuple[tuple[str, ...], tuple[int, ...]]] = {}
     for route, t, operator in _operators(factory()):
         for name, reported in operator.diagnostics.items():
             found = tuple(reported.dims), np.shape(reported.values)
-            expected = first.setdefault((name, len(route.paths)), found)  # the number of vehicles is the run's own
+            expected = first.setdefault((name, len(route.paths)), found)  # a run has one number of vehicles
             require(
                 found == expected,
                 f"'{name}' has the axes {found[0]} and the shape {found[1]} at t = {t:g} s, "
@@ -114,7 +114,7 @@ def diagnostics(factory: Factory) -> None:
 
 @check("observer")
 def member_order(factory: Factory) -> None:
-    """Each member is read by itself: members in another order give the same readings in that order."""
+    """Each member is read independently of the others: members in another order give the same readings in that order."""  # noqa: E501
     observer = factory()
     members = belief(space_for(observer)).members
     order = np.array([3, 0, 5, 1, 4, 2])
@@ -125,7 +125,7 @@ def member_order(factory: Factory) -> None:
 
 @check("observer")
 def restart(factory: Factory) -> None:
-    """What is read depends on route and time, not on what was read before: a run can be cut off anywhere."""
+    """Readings depend on route and time, not on earlier readings: a run can be stopped and continued anywhere."""
     used = factory()
     members = belief(space_for(used)).members
     for route, t, operator in _operators(used):

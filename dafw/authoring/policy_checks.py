@@ -41,9 +41,9 @@ def space_for(policy: Policy) -> StateSpace:
 def flown(
     factory: Factory, vehicle: Vehicle, *, fresh: bool = False, cycles: int = CYCLES, order: Sequence[int] = range(6)
 ) -> list[Array]:
-    """Return what the vehicles fly in some cycles, as (path,) arrays one after the other.
+    """Return the paths of all vehicles in several cycles as one list of arrays.
 
-    ``fresh``: as if each cycle were run by a new process; ``order``: of the belief's members.
+    ``fresh``: as if each cycle were run by a new process; ``order``: the order of the belief's members.
     """
     policy, paths = factory(), []
     memory: Memory | None = policy.initial_memory(vehicle)
@@ -61,7 +61,7 @@ def flown(
 def outlook(
     space: StateSpace, vehicle: Vehicle, memory: Memory | None, cycle: int, order: Sequence[int] = range(6)
 ) -> Outlook:
-    """Return a belief with a model whose memory it carries, and the means to run that model on."""
+    """Return an outlook over a belief of a model with memory."""
     seen = belief(space, seed=cycle)
     seen = Ensemble(seen.members[list(order)], space, float(cycle))
     model = Mover(space, seen.members, remembers=True)
@@ -71,7 +71,7 @@ def outlook(
 
 @check("policy")
 def shapes(factory: Factory) -> None:
-    """Every vehicle, be there none, one or several, gets a way that begins where it is and that it can fly in time."""
+    """With no, one or several vehicles, every vehicle gets a path that begins at its position and that it can fly in time."""  # noqa: E501
     for n_vehicles in (0, 1, 3):
         flown(factory, vehicles(n_vehicles))
         flown(factory, vehicles(n_vehicles, speed=0.0), cycles=1)
@@ -79,7 +79,7 @@ def shapes(factory: Factory) -> None:
 
 @check("policy")
 def free_airspace(factory: Factory) -> None:
-    """Nobody is sent through a building or out of the domain."""
+    """No vehicle is sent through a building or out of the domain."""
     for speed in (10.0, 60.0):
         for path in flown(factory, vehicles(3, speed=speed, domain=airspace())):
             for a, b in pairwise(path):
@@ -88,7 +88,7 @@ def free_airspace(factory: Factory) -> None:
 
 @check("policy")
 def inputs_unchanged(factory: Factory) -> None:
-    """A decision leaves the belief with its model's memory, the vehicle and the policy's memory as they were handed in: the cycle still needs them."""  # noqa: E501
+    """A decision does not change the belief with its model's memory, the vehicle or the policy's memory: the cycle still needs them."""  # noqa: E501
     policy, vehicle = factory(), vehicles(2)
     memory = policy.initial_memory(vehicle)
     for cycle in range(2):
@@ -105,7 +105,7 @@ def inputs_unchanged(factory: Factory) -> None:
 
 @check("policy")
 def determinism(factory: Factory) -> None:
-    """The same belief, vehicle and generator give the same way, bit for bit: a study can be repeated."""
+    """The same belief, vehicle and generator give the same route, bit for bit: a study can be repeated."""
     with global_generators():
         first = flown(factory, vehicles(2))
     with global_generators():
@@ -115,14 +115,14 @@ def determinism(factory: Factory) -> None:
 
 @check("policy")
 def own_generator(factory: Factory) -> None:
-    """Random numbers come from the generator handed in: global ones are shared, and change when anything else does."""
+    """Random numbers come from the generator passed in, never from global ones, which any other code may advance."""
     with no_global_draws():
         flown(factory, vehicles(1))
 
 
 @check("policy")
 def member_order(factory: Factory) -> None:
-    """Members are exchangeable: a belief with its members in another order leads to the same way."""
+    """Members are exchangeable: a belief with its members in another order leads to the same route."""
     first = flown(factory, vehicles(1), cycles=1)
     second = flown(factory, vehicles(1), cycles=1, order=(3, 0, 5, 1, 4, 2))
     for a, b in zip(first, second, strict=True):
@@ -131,7 +131,7 @@ def member_order(factory: Factory) -> None:
 
 @check("policy")
 def restart(factory: Factory) -> None:
-    """A run cut off after any cycle and continued from its file flies the same: nothing is remembered on the plugin."""
+    """A run stopped after any cycle and continued from its file has the same routes: the plugin keeps nothing on itself."""  # noqa: E501
     with global_generators():
         whole = flown(factory, vehicles(2))
     with global_generators():
@@ -146,7 +146,7 @@ def _require_same_ways(first: list[Array], second: list[Array], message: str) ->
 
 @check("policy")
 def truth_blind(factory: Factory) -> None:
-    """No cheating: with the truth exchanged behind its back, every decision is the same."""
+    """A policy does not see the truth: if the truth is replaced by another one, every decision stays the same."""
     space = space_for(factory())
     members = belief(space).members
 
@@ -162,7 +162,7 @@ def truth_blind(factory: Factory) -> None:
 
 
 def _decisions(policy: Policy, model: Mover, truth: Mover) -> list[Array]:
-    """Return the ways flown in a study whose belief never hears of the truth."""
+    """Return the paths flown in a study whose belief does not depend on the truth."""
     parts = Parts(model, truth, None, NoObserver(), policy, NoFilter(), Twin(), Streams(0))
     state = start(parts, len(model.members), vehicles(2))
     paths: list[Array] = []

@@ -29,7 +29,7 @@ class Linear(ObservationOperator):
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """A forecast, the operator that looks at it, and the readings ``values`` (m,)."""
+    """A forecast, an observation operator, and the readings ``values`` (m,)."""
 
     forecast: Ensemble
     operator: Linear
@@ -37,12 +37,12 @@ class Problem:
 
     @property
     def observation(self) -> Observation:
-        """The readings as a filter is told."""
+        """The readings as a filter is given them."""
         return Observation(self.values, self.operator, self.forecast.time)
 
     @property
     def predicted(self) -> Array:
-        """What the members would read (N, m), made anew each time."""
+        """The readings (N, m) that the members predict; a new array each time."""
         return self.operator.apply(self.forecast.members)
 
     def with_members(self, members: Array) -> Problem:
@@ -119,14 +119,14 @@ def gas_space() -> StateSpace:
 
 
 def belief(space: StateSpace, n_members: int = 6, seed: int = 0) -> Ensemble:
-    """Return members (N, n) of a space: positive, and within [0, 2 pi) where they are angles."""
+    """Return members (N, n) of a space: positive numbers, and angles within [0, 2 pi)."""
     rng = np.random.default_rng([seed, n_members])
     members = np.abs(1.0 + 0.5 * rng.standard_normal((n_members, space.size)))
     return Ensemble(space.retract(members, np.zeros(space.size)), space, 2.0)
 
 
 def gas_problem(direction: float, seed: int = 0, n_members: int = 20) -> Problem:
-    """Return a problem of ``gas_space``: winds blow about ``direction`` (rad), readings far below the forecast's."""
+    """Return a problem of ``gas_space`` with winds around ``direction`` (rad) and readings far below the forecast's."""
     space, rng = gas_space(), np.random.default_rng([seed, 1])
     members = space.pack(
         {
@@ -151,25 +151,25 @@ def positive_problem(seed: int = 0, n_members: int = 20) -> Problem:
 
 
 def bounded_problems() -> list[Problem]:
-    """Return problems whose readings pull the members out of the state's set."""
+    """Return problems whose readings pull the members out of the range of their variables."""
     return [*(gas_problem(direction, seed) for seed, direction in enumerate((0.05, 3.0, 6.25))), positive_problem()]
 
 
 @cache
 def airspace() -> Domain:
-    """Return the rectangle of ``gas_space`` with a wide rim and one square building in its middle."""
+    """Return the rectangle of ``gas_space`` with a wide margin and one square building in its middle."""
     building = np.array([[130.0, 80.0], [170.0, 80.0], [170.0, 120.0], [130.0, 120.0]])
     return Domain((-20.0, -20.0, EAST + 20.0, NORTH + 20.0), (building,), ("square",))
 
 
 def vehicles(n_vehicles: int, *, speed: float = 10.0, domain: Domain | None = None) -> Vehicle:
-    """Return vehicles (up to 3) that stand about the building, 2 to 20 m from its walls."""
+    """Return up to 3 vehicles around the building, 2 to 20 m from its walls."""
     places = np.array([[120.0, 100.0], [172.0, 118.0], [150.0, 60.0]])
     return Vehicle(places[:n_vehicles], speed, 1.0, domain)
 
 
 def routes() -> list[Route]:
-    """Return routes as observers meet them: no vehicle, one that hovers, one that flies, two that fly.
+    """Return routes as they occur in studies: no vehicle, one that hovers, one that flies, two that fly.
 
     The last is flown in half a second, the others in one.
     """

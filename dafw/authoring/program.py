@@ -1,12 +1,13 @@
 """A model that is an external program: one process for each member and step.
 
 By default a process reads standard input: a line with t, dt (seconds) and n, then the n numbers of the member, one a
-line; and it writes the n numbers at t + dt to standard output, separated by white space. A program that wants files
-has them written and read by ``prepare`` and ``result``; it runs in an empty folder of its own, which is removed after.
+line. It writes the n numbers at t + dt to standard output, separated by white space. For a program that uses files,
+override ``prepare`` and ``result``, which write and read them. Each process runs in an empty folder of its own, which
+is removed afterwards.
 
-Which program runs is said by the class that a package registers, never by an option: options come from configuration
-files, and those travel. Whoever installs a package trusts its code; whoever runs a study that somebody sent must not
-have to trust that as well. For the same reason no shell is involved: options reach the program as separate arguments.
+The class that a package registers determines the program, never an option: options come from configuration files, and
+these are passed between people. Installing a package means trusting its code; running a study from another person must
+not require trust. For the same reason there is no shell: options reach the program as separate arguments.
 """
 
 from __future__ import annotations
@@ -37,8 +38,8 @@ LAST_LINES = 3
 class ProgramModel(Model):
     """Base class: a subclass sets ``command``, ``space``, ``dt`` and ``initial``, and may define the rest.
 
-    ``step`` raises ComputationError, with the member, the exit status and the program's last lines, where a program
-    cannot be started, fails or takes longer than ``time_limit``; then it is killed with all that it started.
+    ``step`` raises ComputationError, with the member, the exit status and the program's last lines, if a program
+    cannot be started, fails or takes longer than ``time_limit``. In the last case it is killed with its children.
     """
 
     command: ClassVar[Sequence[str]]
@@ -46,11 +47,11 @@ class ProgramModel(Model):
     time_limit: float = option(60.0, "seconds that one step of one member may take", above=0.0)
 
     def arguments(self) -> Sequence[str]:
-        """Return what follows the command: this class's options, say."""
+        """Return the arguments after the command, for example values of this class's options."""
         return ()
 
     def prepare(self, folder: Path, values: Array, t: float) -> str:
-        """Return standard input for one member (n,), and write its files into ``folder`` where it wants files."""
+        """Return the standard input for one member (n,); write input files into ``folder`` if the program uses them."""
         numbers = "\n".join(repr(float(value)) for value in values)  # repr is exact
         return f"{t!r} {self.dt!r} {len(values)}\n{numbers}\n"
 
@@ -61,7 +62,7 @@ class ProgramModel(Model):
     def step(self, members: Array, t: float, rng: MemberStreams) -> Array:
         """Return the members (N, n) at t + dt.
 
-        Each process finds a seed of its own in the environment variable DAFW_SEED, for its model error.
+        For its model error, each process gets its own seed in the environment variable DAFW_SEED.
         """
         return np.stack([self._one(i, values, t, int(rng[i].integers(2**63))) for i, values in enumerate(members)])
 
@@ -85,7 +86,7 @@ class ProgramModel(Model):
     def _run(self, folder: Path, work: Path, environment: dict[str, str], where: str) -> int:
         """Run the program to its end and return its status; negative: the signal that ended it."""
         command = [*self.command, *self.arguments()]
-        # Files, not pipes: nothing blocks on them, however much is written and whoever keeps them open.
+        # Files, not pipes: nothing blocks on them, however much is written and whichever process keeps them open.
         with (
             (folder / "input").open("rb") as given,
             (folder / "output").open("wb") as output,
@@ -111,11 +112,11 @@ class ProgramModel(Model):
                     f"{self._last_lines(folder)}"
                 ) from error
             finally:
-                # Whatever ended the wait, Ctrl-C included: neither it nor its children outlive the step.
+                # However the wait ended, Ctrl-C included, the program and its children must not outlive the step.
                 _kill_group(process)
 
     def _last_lines(self, folder: Path) -> str:
-        """Return the last lines of what the program said, of standard error if it said anything there."""
+        """Return the last lines of the program's output: of standard error if it wrote any, else standard output."""
         for name in ("errors", "output"):
             text = (folder / name).read_bytes()[-10_000:].decode("utf-8", errors="replace")
             if lines := [line.strip() for line in text.splitlines() if line.strip()]:
@@ -124,8 +125,8 @@ class ProgramModel(Model):
 
 
 def _kill_group(process: subprocess.Popen[bytes]) -> None:
-    """Kill what is left of the process and of what it started, and leave no zombie."""
-    with suppress(ProcessLookupError, PermissionError):  # nobody is left
+    """Kill the process and its children if they still run, and leave no zombie."""
+    with suppress(ProcessLookupError, PermissionError):  # all of them have ended
         os.killpg(process.pid, signal.SIGKILL)
     process.wait()
 

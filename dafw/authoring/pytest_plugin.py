@@ -1,6 +1,6 @@
 """The conformance kit in pytest: one test for each check of a registered plugin.
 
-Installed with dafw, it does nothing until a test asks for ``dafw_check``::
+It is installed with dafw and does nothing until a test uses the argument ``dafw_check``::
 
     @pytest.mark.dafw("filter", "nudging")
     def test_conforms(dafw_check):
@@ -18,12 +18,12 @@ if TYPE_CHECKING:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Declare the mark."""
+    """Register the marker ``dafw``."""
     config.addinivalue_line("markers", "dafw(kind, name): the registered plugin that dafw_check is about")
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """Make one test of each check."""
+    """Make one test for each check."""
     if "dafw_check" not in metafunc.fixturenames:
         return
     import pytest

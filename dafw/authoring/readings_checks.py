@@ -41,21 +41,21 @@ def _operator(space: StateSpace, cycle: int) -> ObservationOperator:
 
 
 def domain_for(source: Readings) -> Domain | None:
-    """Return the places of the space on which the source is checked: those of the kit's own, or none."""
+    """Return the domain of the space on which the source is checked: the kit's own, or None."""
     return airspace() if source.check_space() is None else None
 
 
 def suited(factory: Factory) -> Readings:
-    """Return a source that was told the study's space; raises ConfigurationError where they do not go together."""
+    """Return a source after its ``suit`` with the study's space; raises ConfigurationError if they do not fit."""
     source: Readings = factory()
     source.suit(space_for(source), domain_for(source), DT)
     return source
 
 
 def requests(source: Readings, *, truth: bool | None = None) -> Iterator[Request]:
-    """Give the requests of some cycles, one after the other.
+    """Yield the requests of several cycles in order.
 
-    ``truth``: whether the study has one; None: if the source says that it needs it.
+    ``truth``: whether the study has a truth; None: only if the source needs it.
     """
     space, domain = space_for(source), domain_for(source)
     for cycle in range(CYCLES):
@@ -68,7 +68,7 @@ def requests(source: Readings, *, truth: bool | None = None) -> Iterator[Request
 def taken(
     factory: Factory, *, fresh: bool = False, seed: int = 0, truth: bool | None = None
 ) -> list[tuple[Request, Taken]]:
-    """Return what a source gave in some cycles; ``fresh``: as if each cycle were run by a new process."""
+    """Return a source's readings in several cycles; ``fresh``: as if each cycle were run by a new process."""
     source = suited(factory)
     memory: Memory | None = source.initial_memory()
     found = []
@@ -94,7 +94,7 @@ def _require_same(first: list[tuple[Request, Taken]], second: list[tuple[Request
 
 @check("readings")
 def shapes(factory: Factory) -> None:
-    """Readings are finite numbers, none is from the future, and what they are about can be read in the belief."""
+    """Readings are finite numbers, none is from the future, and their operators can be applied to the belief."""
     for seed in range(8):
         for request, got in taken(factory, seed=seed):
             for observation in got.observations:
@@ -102,7 +102,7 @@ def shapes(factory: Factory) -> None:
 
 
 def _require_readable(observation: Observation, request: Request) -> None:
-    """Raise ConformanceError where the members of a belief cannot be read as the observation was."""
+    """Raise ConformanceError if the observation's operator cannot be applied to the members of a belief."""
     for n_members in (1, 5):
         predicted = observation.operator.apply(belief(request.space, n_members).members)
         expected = (n_members, observation.values.size)
@@ -113,7 +113,7 @@ def _require_readable(observation: Observation, request: Request) -> None:
 
 @check("readings")
 def inputs_unchanged(factory: Factory) -> None:
-    """Truth, operator and memory are left as they were handed in: others still need them."""
+    """A source does not change the truth, operator or memory that it is given: they are still needed."""
     source = suited(factory)
     memory: Memory | None = source.initial_memory()
     for request in requests(source):
@@ -139,14 +139,14 @@ def determinism(factory: Factory) -> None:
 
 @check("readings")
 def own_generator(factory: Factory) -> None:
-    """Random numbers come from the generator handed in: global ones are shared, and change when anything else does."""
+    """Random numbers come from the generator passed in, never from global ones, which any other code may advance."""
     with no_global_draws():
         taken(factory)
 
 
 @check("readings")
 def restart(factory: Factory) -> None:
-    """A run cut off after any cycle and continued from its file has the same readings: nothing is remembered on the source."""  # noqa: E501
+    """A run stopped after any cycle and continued from its file has the same readings: the source keeps nothing on itself."""  # noqa: E501
     with global_generators():
         whole = taken(factory)
     with global_generators():
@@ -156,7 +156,7 @@ def restart(factory: Factory) -> None:
 
 @check("readings")
 def without_truth(factory: Factory) -> None:
-    """A source that does not say ``needs_truth = True`` works without a truth, and where there is one does not look at it."""  # noqa: E501
+    """A source without ``needs_truth = True`` works without a truth, and ignores the truth if there is one."""
     if factory().needs_truth:
         raise NotApplicable("declares that it needs a truth")
     with global_generators():

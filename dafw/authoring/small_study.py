@@ -1,6 +1,6 @@
-"""A study in small: a few cycles of the real loop, so that plugins are asked in the state in which studies meet them.
+"""Small studies for the checks: a few cycles of the real loop, so that plugins are called as in real studies.
 
-The first analysis of a filter says little about the second: memory, weights and a window only come with it.
+One analysis would not be enough: a filter has memory, weights and a window only from the second analysis on.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ from dafw.plugins.observers.none import NoObserver
 from dafw.plugins.policies.stationary import Stationary
 
 CYCLES = 3
-"""How often a filter is asked where nothing else is said: after the first time with what it handed out before."""
+"""The default number of analyses; all but the first are given the memory and weights of the one before."""
 
 
 @dataclass
 class Mover(Model):
-    """Begins with given members (N, n) and moves them by ``matrix`` (n, n); None: they stay.
+    """Starts from given members (N, n) and multiplies them by ``matrix`` (n, n) in each step; None: they stay.
 
-    Where it ``remembers``, every member also moves by a drift that the model's memory holds and that dies away.
+    If ``remembers``, every member also moves by a decaying drift, which is held in the model's memory.
     """
 
     space: StateSpace
@@ -52,7 +52,7 @@ class Mover(Model):
         return np.array(self.members[:n_members])
 
     def initial_memory(self, members: Array) -> Memory | None:
-        """Return the drift (N,) of each member, which depends on where it is."""
+        """Return the drift (N,) of each member, which depends on its state."""
         return {"drift": 0.1 * members[:, 0]} if self.remembers else None
 
     def step_with_memory(self, members: Array, memory: Memory | None, t: float, rng: MemberStreams) -> Step:
@@ -70,24 +70,24 @@ class Mover(Model):
 
 @dataclass
 class Given(Readings):
-    """Hands out observations by the cycle in which they arrive."""
+    """Returns given observations, keyed by the cycle in which they arrive."""
 
     arrivals: tuple[tuple[Observation, ...], ...]
 
     def take(self, request: Request, rng: np.random.Generator) -> Sequence[Observation]:
-        """Return what arrives in this cycle."""
+        """Return the observations that arrive in this cycle."""
         return self.arrivals[request.cycle]
 
 
 @dataclass(frozen=True, eq=False)
 class SmallStudy:
-    """A model, and what is read of it, by the cycle in which it arrives."""
+    """A model, and its readings keyed by the cycle in which they arrive."""
 
     model: Mover
     arrivals: tuple[tuple[Observation, ...], ...]
 
     def remembering(self, *, error_sd: float = 0.0) -> SmallStudy:
-        """Return the study with a model that has a memory, and perhaps an error."""
+        """Return the study with a model that has a memory, and a model error if ``error_sd`` > 0."""
         return replace(self, model=replace(self.model, remembers=True, error_sd=error_sd))
 
     def run(
@@ -95,8 +95,8 @@ class SmallStudy:
     ) -> list[Cycle]:
         """Return all cycles with a filter of the factory.
 
-        ``cut``: as if each cycle were run by a new process that reads what the last one wrote. Raises what a study
-        raises, a ConfigurationError where the filter declines the problem among them.
+        ``cut``: as if each cycle were run by a new process that reads what the last one wrote. Raises the errors of a
+        study, such as ConfigurationError if the filter declines the problem.
         """
         filter_ = factory()
         filter_.suit(self.model.space, len(self.model.members))
@@ -122,15 +122,15 @@ class SmallStudy:
 
 
 def growth(n: int) -> Array:
-    """Return a matrix (n, n) by which neighbours mix and everything grows a little: spread comes back in each cycle."""
+    """Return a matrix (n, n) that mixes neighbours and makes all grow a little, to restore spread in each cycle."""
     return 1.1 * np.eye(n) + 0.2 * np.eye(n, k=1)
 
 
 def study_of(problem: Problem, *later: Problem, still: bool = False) -> SmallStudy:
     """Return the study in which the readings of each problem are taken at the end of its cycle.
 
-    With one problem alone it has ``CYCLES`` cycles, in which the readings change a little. The members are those of the
-    first problem's forecast before it; ``still``: nothing moves, and the first forecast is that of the problem.
+    With a single problem it has ``CYCLES`` cycles, in which the readings change a little. The members at the start are
+    those of the first problem's forecast; ``still``: they do not move, so the first forecast is that of the problem.
     """
     if not later:
         problem, *later = [replace(problem, values=problem.values + 0.1 * cycle) for cycle in range(CYCLES)]  # type: ignore[assignment]
@@ -148,7 +148,7 @@ def after(cycle: Cycle) -> Ensemble:
 
 
 def reread(state: State) -> State:
-    """Return the state as it comes back from a file: arrays alone, in other places of memory."""
+    """Return the state after a round trip through a file: new copies of its arrays."""
     return replace(
         state,
         belief=_reread(state.belief),
@@ -190,10 +190,10 @@ def _bits(belief: Forecast) -> dict[str, bytes]:
 
 
 def watched(filter_: Filter, named: Callable[..., dict[str, Any]]) -> Filter:
-    """Return the filter such that it raises ConformanceError where an analysis changes what it was handed.
+    """Make the filter raise ConformanceError if an analysis changes its arguments, and return it.
 
-    ``named(*arguments)`` gives, by the names of messages, what must stay of the arguments of ``update`` or
-    ``look_back``, the generator left out.
+    ``named(*arguments)`` takes the arguments of ``update`` or ``look_back`` without the generator. It returns those
+    that must not change, keyed by their names in messages.
     """
     for verb in ("update", "look_back"):
         setattr(filter_, verb, partial(_watched, getattr(filter_, verb), named))

@@ -1,4 +1,4 @@
-"""``dafw new-plugin``: a package with one plugin that works, and a test that runs the conformance kit on it."""
+"""``dafw new-plugin``: a package with one working plugin, and a test that runs the conformance kit on it."""
 
 from __future__ import annotations
 
@@ -186,7 +186,7 @@ CODE = {"model": MODEL, "observer": OBSERVER, "policy": POLICY, "filter": FILTER
 
 
 def new_plugin(kind: str, name: str, folder: Path) -> list[Path]:
-    """Write a package with one plugin into a folder that is not there yet, or empty; return its files.
+    """Write a package with one plugin into a new or empty folder; return its files.
 
     Raises RequestError for a kind, a name or a folder that cannot be used; nothing is ever overwritten.
     """
