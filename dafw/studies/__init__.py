@@ -1,1 +1,1 @@
-"""Running a study: its cycles, its log and progress, and ending it when asked to."""
+"""Running a study: its cycles, its log and progress bar, and stopping it on request."""

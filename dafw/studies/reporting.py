@@ -1,4 +1,4 @@
-"""What a run says on its way: its log, the progress bar, and a sentence for each cycle."""
+"""Messages of a run: its log, the progress bar, and a sentence for each cycle."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ log = logging.getLogger("dafw")
 
 @contextmanager
 def log_file(path: Path) -> Iterator[None]:
-    """Write dafw's log, from INFO on, to a file while the block lasts."""
+    """Write dafw's log, level INFO and above, to a file during the block."""
     handler = logging.FileHandler(path, encoding="utf-8")
     handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
     previous = log.level
@@ -34,7 +34,7 @@ def log_file(path: Path) -> Iterator[None]:
 
 
 def sentence(cycle: Cycle, scores: Mapping[str, float]) -> str:
-    """Return what a cycle did, for the log."""
+    """Return a sentence about a cycle, for the log."""
     positions = ", ".join(f"({x:.1f}, {y:.1f})" for x, y in cycle.state.vehicle.positions)
     parts = [f"ERR {scores['err']:.2f} %"] if "err" in scores else []
     parts += [f"free run {scores['err_free']:.2f} %"] if "err_free" in scores else []
@@ -46,7 +46,7 @@ def sentence(cycle: Cycle, scores: Mapping[str, float]) -> str:
 
 
 def postfix(state: State, scores: Mapping[str, float]) -> str:
-    """Return how a run stands, for the end of its progress bar."""
+    """Return the current scores of a run, for the end of its progress bar."""
     positions = " ".join(f"({x:.0f}, {y:.0f})" for x, y in state.vehicle.positions[:2])
     stands = f"ERR {scores['err']:.1f} %" if "err" in scores else ""
     if not stands and math.isfinite(scores["innovation_rms"]):
@@ -55,9 +55,9 @@ def postfix(state: State, scores: Mapping[str, float]) -> str:
 
 
 def said_of_readings(counts: Mapping[str, int]) -> str:
-    """Return how many readings there were and what became of them: ``5 readings (3 on time, 1 late, 1 dropped)``.
+    """Return the number of readings and their use: ``5 readings (3 on time, 1 late, 1 dropped)``.
 
-    ``counts`` are by use, as in ``dafw.core.late.Sorted``; where all were on time, their number says it.
+    ``counts`` are keyed by use, as in ``dafw.core.late.Sorted``. If all were on time, only their number is given.
     """
     total = sum(counts.values())
     late = counts.get("late_in_window", 0) + counts.get("late_used_now", 0)
@@ -70,16 +70,16 @@ def said_of_readings(counts: Mapping[str, int]) -> str:
 
 
 def closing_line(study: Study, summary: Mapping[str, Any]) -> str:
-    """Return how the belief did, in one sentence.
+    """Return the result of the run in one sentence.
 
-    With a truth: its ERR beside that of the free run, and of an empty map where the scored variable cannot be
-    negative. Without one: what the readings say of it.
+    With a truth: ERR of the belief and of the free run, and that of an all-zero map if the scored variable cannot be
+    negative. Without a truth: the statistics of the innovations.
     """
     scored = study.model.space.variables[0]
     if study.truth is not None:
         parts = [f"the belief's ERR is {_percent(summary['err_final'])}"]
         parts += [f"the free run's {_percent(summary['err_free_final'])}"] if study.free is not None else []
-        # A map of zeros differs from the truth by the truth itself.
+        # The difference between the truth and a map of zeros is the truth itself, so the ERR of such a map is 100 %.
         parts += ["an empty map's 100 %"] if scored.kind is Kind.NONNEGATIVE else []
     elif summary["innovation_rms"] is None:
         parts = ["there is no truth to compare the belief with"]
@@ -96,7 +96,7 @@ def _percent(value: float | None) -> str:
 
 
 def warn_once(warned: set[str], what: str, text: str) -> None:
-    """Log a warning, and say it on standard error, the first time that it is about ``what``."""
+    """Log a warning, and print it on standard error, the first time that there is one about ``what``."""
     if what in warned:
         return
     warned.add(what)
@@ -105,7 +105,7 @@ def warn_once(warned: set[str], what: str, text: str) -> None:
 
 
 def log_domain(parts: Parts) -> None:
-    """Log what the model was made of."""
+    """Log what the model was built from."""
     for note in parts.model.notes():
         log.info("%s", note)
     log.info("state: %r", parts.model.space)
@@ -114,7 +114,7 @@ def log_domain(parts: Parts) -> None:
 
 
 def progress(total: int) -> Any:
-    """Return the progress bar of so many cycles; silent where there is no terminal."""
+    """Return a progress bar of ``total`` cycles; it prints nothing if there is no terminal."""
     from tqdm import tqdm
 
     return tqdm(total=total, unit="cycle", disable=None, file=sys.stderr, dynamic_ncols=True)

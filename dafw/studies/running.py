@@ -33,16 +33,16 @@ SUMMARY_SECONDS = 10.0
 def run_study(study: Study, folder: Path, communicator: Any = None) -> dict[str, Any]:
     """Run a study into ``folder`` and return its summary; on rank 0 of an MPI communicator, if there is one.
 
-    Whatever happens, the cycles that were finished stay in ``run.nc`` and ``summary.json`` says how it ended. Raises
-    RunError where the folder holds a run already, DafwError where a computation failed, Interrupted.
+    In any case the finished cycles stay in ``run.nc``, and ``summary.json`` says how the run ended. Raises RunError if
+    the folder already holds a run, DafwError if a computation fails, and Interrupted.
     """
     refuse_run(folder)
     begun = perf_counter()
-    # A wrong request shows here, before anything is written.
+    # A wrong request raises here, before anything is written.
     parts, vehicle = study.prepare(communicator)
     folder.mkdir(parents=True, exist_ok=True)
     run = _Run(study, folder, begun, communicator)
-    # Bits that do not depend on the number of cores; and small matrices are quicker without threads.
+    # One thread: the bits then do not depend on the number of cores, and small matrices are faster.
     with log_file(folder / "run.log"), stop_signals() as stop, threadpool_limits(limits=1, user_api="blas"):
         try:
             with parts.executor:
@@ -53,9 +53,9 @@ def run_study(study: Study, folder: Path, communicator: Any = None) -> dict[str,
             run.end("interrupted")
             raise Interrupted(f"{run.summary.cycles} of {study.cycles} cycles are kept in {folder}") from None
         except (Exception, SystemExit) as error:
-            # What no phase of a cycle has named is still said in one line, and the record is closed.
+            # An error outside the phases of a cycle must also give a one-line message and close the record.
             failure = _named(error)
-            with suppress(RecordError):  # the first error is the one to be told
+            with suppress(RecordError):  # report the first error
                 run.end("failed", str(failure))
             done = run.summary.cycles
             kept = f"; {done} of {study.cycles} cycles are kept in {folder}" if done else ""
@@ -68,7 +68,7 @@ def run_study(study: Study, folder: Path, communicator: Any = None) -> dict[str,
 
 
 def follow_study(study: Study, communicator: Any) -> None:
-    """Take part in a run of rank 0 as another rank, and leave nothing behind; raises what the run raises."""
+    """Take part in rank 0's run as another rank, without writing any file; raises the errors of the run."""
     parts, vehicle = study.prepare(communicator)
     with stop_signals() as stop, threadpool_limits(limits=1, user_api="blas"):
         state = start(parts, study.members, vehicle)
@@ -80,10 +80,10 @@ def follow_study(study: Study, communicator: Any) -> None:
 
 
 def refuse_run(folder: Path, communicator: Any = None) -> None:
-    """Raise RunError where a folder holds a run already.
+    """Raise RunError if a folder already holds a run.
 
-    Of the ranks of an MPI communicator, which all call, rank 0 looks and tells the others: by the time another rank
-    looked, rank 0 might have made the folder.
+    With an MPI communicator all ranks call this. Only rank 0 looks and tells the others, because it may have made the
+    folder before another rank looks.
     """
     holds = communicator is None or communicator.rank == 0
     holds = holds and ((folder / "run.nc").exists() or (folder / "summary.json").exists())
@@ -94,13 +94,13 @@ def refuse_run(folder: Path, communicator: Any = None) -> None:
 
 
 class _Run:
-    """One run on its way."""
+    """One run in progress."""
 
     def __init__(self, study: Study, folder: Path, begun: float, communicator: Any) -> None:
         self.study, self.folder, self.communicator = study, folder, communicator
         self.summary = Summary(study, begun, communicator.size if communicator else 1)
         self.record: Record | None = None
-        # Until it says otherwise, a run that leaves no word was cut off.
+        # The status of a run that is killed before it can write another one.
         self.noted = perf_counter()
         claim(folder / "summary.json")
         self._write_summary()
@@ -186,14 +186,14 @@ class _Run:
 
 
 def _named(error: BaseException) -> DafwError:
-    """Return an error as one of dafw's, that names the plugin where one raised it."""
+    """Return an error as a DafwError, which names the plugin if one raised it."""
     if isinstance(error, DafwError):
         return error
     return by_plugin(error) or ComputationError(f"{type(error).__name__}: {error}")
 
 
 def _with_members(study: Study, parts: Parts) -> list[str]:
-    """Return the names of the variables of which every member is kept."""
+    """Return the names of the variables for which every member is kept."""
     variables = parts.model.space.variables
     if study.record == "all":
         return [variable.name for variable in variables]
@@ -214,11 +214,11 @@ def _draw(folder: Path) -> None:
 
 
 def run(what: Study | list[str] | None = None, folder: str | Path | None = None) -> Any:
-    """Run a study and open what it leaves as an xarray.Dataset, whose attribute ``folder`` says where it is.
+    """Run a study and open its result as an xarray.Dataset; the attribute ``folder`` is the folder of the run.
 
-    ``dafw.run(study)`` runs a study that was made of objects; ``dafw.run(["filter=none", "cycles=20"])`` composes one
-    from overrides, as the command does. It goes to ``folder``, or to a new folder of ``outputs``. Raises
-    ConfigurationError for a wrong request, RunError where the folder holds a run already, and other DafwErrors where a
+    ``dafw.run(study)`` runs a study made of objects; ``dafw.run(["filter=none", "cycles=20"])`` composes one from
+    overrides, as the command does. The run is written to ``folder``, or to a new folder in ``outputs``. Raises
+    ConfigurationError for a wrong request, RunError if the folder already holds a run, and other DafwErrors if a
     computation fails.
     """
     from dafw.core.runs import open_run
@@ -255,7 +255,7 @@ def _run_overrides(overrides: list[str], folder: str | Path | None) -> Path:
 
 
 def _keep_configuration(folder: Path, composed: Mapping[str, Any], overrides: list[str]) -> None:
-    """Write what a study was composed from, as the command does, before it runs: so that a failed run has it, too."""
+    """Write a study's configuration, as the command does; before it runs, so that a failed run has it, too."""
     from omegaconf import OmegaConf
 
     folder.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""Ending a run when asked to: between two cycles, with everything kept."""
+"""Stopping a run on request: between two cycles, so that all results so far are kept."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from typing import Any
 
 
 class Interrupted(KeyboardInterrupt):
-    """The run was asked to stop (Ctrl-C or SIGTERM); what was done is kept."""
+    """The run was asked to stop (Ctrl-C or SIGTERM); the finished cycles are kept."""
 
 
 class Stop:
     """Whether the run was asked to stop.
 
-    It does so at once during set-up, which may take minutes, and later, when it is ``patient``, between two cycles,
-    never while a file is being written.
+    During set-up, which may take minutes, a request stops the run at once. Later, when ``patient`` is set, the run
+    stops between two cycles, never while a file is being written.
     """
 
     def __init__(self) -> None:
         self.asked = self.patient = False
 
     def agreed(self, communicator: Any) -> bool:
-        """Say whether any rank of an MPI communicator was asked to stop, and have it asked of all."""
+        """Return whether any rank of an MPI communicator was asked to stop; then all ranks stop."""
         if communicator is not None:
             self.asked = any(communicator.allgather(self.asked))
         return self.asked
@@ -32,13 +32,13 @@ class Stop:
     def __call__(self, number: int, frame: Any) -> None:
         """Note the signal."""
         if not self.patient or (self.asked and number == signal.SIGINT):
-            raise KeyboardInterrupt  # nor does the second Ctrl-C wait
+            raise KeyboardInterrupt  # a second Ctrl-C stops at once
         self.asked = True
 
 
 @contextmanager
 def stop_signals() -> Iterator[Stop]:
-    """Let Ctrl-C and SIGTERM end a run: in set-up at once, then after the cycle that it is in, with everything kept."""
+    """Let Ctrl-C and SIGTERM stop a run: at once during set-up, later at the end of the present cycle."""
     stop = Stop()
     if threading.current_thread() is not threading.main_thread():
         yield stop

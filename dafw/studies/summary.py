@@ -1,4 +1,4 @@
-"""What ``summary.json`` says of a run: how it ended, how the belief did, what it was made of and how long it took."""
+"""Contents of ``summary.json``: how the run ended, the scores of the belief, the parts and the times of the run."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ VERSIONED = ("numpy", "scipy", "dolfinx-solver-real", "gmsh", "netcdf4", "xarray
 
 
 class Summary:
-    """One run's summary, brought up to date cycle by cycle."""
+    """The summary of one run, updated in every cycle."""
 
     def __init__(self, study: Study, begun: float, processes: int) -> None:
         self.study, self.begun, self.processes = study, begun, processes
@@ -37,7 +37,7 @@ class Summary:
         self._innovations: list[float] = []
 
     def begin(self, study: Study) -> None:
-        """Note what was found when the models were made, and how long that took."""
+        """Record the pinned options of the models, and how long set-up took."""
         found = {role: model.pinned_options() for role, model in study.models.items()}
         self.pinned = {role: options for role, options in found.items() if options}
         self._seconds["set-up"] = perf_counter() - self.begun
@@ -57,11 +57,11 @@ class Summary:
             self.diverged_at = cycle.state.belief.ensemble.time
 
     def end(self, parts: Parts, state: State) -> None:
-        """Note the parameters after the last cycle."""
+        """Record the parameters after the last cycle."""
         self._parameters = _parameters(parts, state)
 
     def warnings(self, cycle: Cycle, parts: Parts) -> Iterator[tuple[str, str]]:
-        """Give what a user must know about a cycle, by what it is about: each kind is said once."""
+        """Yield warnings about a cycle as pairs of topic and text; the caller prints each topic once."""
         belief = cycle.state.belief.ensemble
         if self.diverged_at == belief.time:
             member, entry = belief.space.farthest(belief.members)
@@ -80,7 +80,7 @@ class Summary:
                 yield use, f"{text} (summary.json counts them)"
 
     def values(self) -> dict[str, Any]:
-        """Return the summary as it stands."""
+        """Return the present summary."""
         study = self.study
         summary = {
             "status": self.status,
@@ -139,7 +139,7 @@ def _versions(study: Study) -> dict[str, str]:
 
 
 def _parameters(parts: Parts, state: State) -> dict[str, dict[str, float | None]]:
-    """Return truth, mean and spread of every state variable that is a single number; None where there is none."""
+    """Return truth, mean and spread of every state variable that is a single number; None if there is no value."""
     belief, truth = state.belief.ensemble, parts.seen(state.truth)
     listed = {}
     for variable in parts.model.space.variables:

@@ -1,7 +1,7 @@
-"""Pictures of finished or interrupted runs, drawn from what is in ``run.nc`` and nothing else.
+"""Pictures of finished or interrupted runs, drawn from ``run.nc`` alone.
 
-Every ``plot_*`` function takes a dataset as ``xarray.open_dataset(run.nc)`` gives it and returns a matplotlib Figure
-that needs no display and no global state. Importing this package loads matplotlib: do it where a picture is wanted.
+Every ``plot_*`` function takes a dataset, as opened by ``xarray.open_dataset``, and returns a matplotlib Figure that
+needs no display and no global state. Importing this package loads matplotlib, so import it only to draw.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a run's dataset holds, in the terms of the pictures: state variables, mesh, buildings, landmarks, units."""
+"""Reads from a run's dataset what the pictures need: state variables, mesh, buildings, landmarks, units."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def require(run: Dataset, purpose: str, *names: str) -> None:
 
 
 def scored_variable(run: Dataset) -> str:
-    """Return the name of the first state variable, which ERR measures, checked to be recorded; else raise RunError."""
+    """Return the name of the first state variable, which ERR is about; raises RunError if it is not recorded."""
     name = run.attrs.get("scored_variable")
     if name is None:
         raise RunError("not a run of dafw: the global attribute 'scored_variable' is missing")
@@ -38,34 +38,34 @@ def scalar_variables(run: Dataset) -> list[str]:
 
 
 def has_map(run: Dataset) -> bool:
-    """Say whether the scored variable is a field on a triangle mesh."""
+    """Return whether the scored variable is a field on a triangle mesh."""
     return (
         "mesh2d_face_nodes" in run and "node_x" in run.variables and "node" in run[f"{scored_variable(run)}_mean"].dims
     )
 
 
 def has_truth(run: Dataset) -> bool:
-    """Say whether there was a truth that the belief was compared with."""
+    """Return whether there was a truth that the belief was compared with."""
     return _holds_numbers(run, "err")
 
 
 def has_free_run(run: Dataset) -> bool:
-    """Say whether a free run was computed beside the belief."""
+    """Return whether a free run was computed beside the belief."""
     return _holds_numbers(run, f"{scored_variable(run)}_free")
 
 
 def has_innovations(run: Dataset) -> bool:
-    """Say whether there were readings that could be compared with what the belief expected of them."""
+    """Return whether there were readings that could be compared with the belief's predictions."""
     return _holds_numbers(run, "innovation_rms")
 
 
 def _holds_numbers(run: Dataset, name: str) -> bool:
-    """Say whether a variable is there and holds numbers; a file may have it with NaN in all places."""
+    """Return whether a variable exists and holds numbers; in a file it may be NaN everywhere."""
     return name in run.variables and bool(np.isfinite(run[name].values).any())
 
 
 def stage(run: Dataset, variable: str, name: str) -> np.ndarray | None:
-    """Return a state variable at a stage (``truth``, ``free``, ``smoothed_mean``); None where there is no such thing.
+    """Return a state variable at a stage (``truth``, ``free``, ``smoothed_mean``); None if it is not recorded.
 
     A truth of another kind than the model may lack some of the model's variables: they hold NaN.
     """
@@ -74,7 +74,7 @@ def stage(run: Dataset, variable: str, name: str) -> np.ndarray | None:
 
 
 def has_section(run: Dataset) -> bool:
-    """Say whether there is a polyline to draw along, and more than one time to draw."""
+    """Return whether the run has a polyline for the section, and more than one time."""
     return has_map(run) and "section_x" in run.variables and run.sizes["time"] > 1
 
 
@@ -86,7 +86,7 @@ def triangulation(run: Dataset) -> Triangulation:
 
 
 def buildings(run: Dataset) -> list[np.ndarray]:
-    """Return the outline of each building, (corners, 2) in metres; none is legal."""
+    """Return the outline of each building, (corners, 2) in metres; the list may be empty."""
     if not run.sizes.get("obstacle"):
         return []
     ends = np.cumsum(run["obstacle_vertex_count"].values.astype(int))
@@ -99,7 +99,7 @@ def polyline(run: Dataset, name: str) -> np.ndarray:
 
 
 def landmark(run: Dataset, name: str) -> np.ndarray | None:
-    """Return the position (2,) in metres of a landmark of the site, or None where the site has none of that name."""
+    """Return the position (2,) in metres of a landmark of the site; None if there is none of that name."""
     if "landmark_name" not in run.variables:
         return None
     names = [n.decode() if isinstance(n, bytes) else str(n) for n in run["landmark_name"].values]
@@ -107,22 +107,22 @@ def landmark(run: Dataset, name: str) -> np.ndarray | None:
 
 
 def is_angle(run: Dataset, variable: str) -> bool:
-    """Say whether a state variable is an angle in radians: averages and differences of it wrap."""
+    """Return whether a state variable is an angle in radians, whose averages and differences wrap."""
     return run[f"{variable}_mean"].attrs.get("units") in ("rad", "radian", "radians")
 
 
 def is_positive(run: Dataset, variable: str) -> bool:
-    """Say whether a state variable moves in its logarithm: its mean is geometric, its spread that of the logarithm."""
+    """Return whether a state variable is POSITIVE: its mean is geometric, its spread that of the logarithm."""
     return str(run[f"{variable}_mean"].attrs.get("comment", "")).startswith("positive")
 
 
 def time_units(run: Dataset) -> str:
-    """Return the unit of time, seconds where the file does not say."""
+    """Return the unit of time; seconds if the file does not say."""
     return str(run["time"].attrs.get("units", "s"))
 
 
 def label(run: Dataset, variable: str, units: str | None = None) -> str:
-    """Return the axis label of a state variable: ``wind speed (m s⁻¹)``; no brackets where it has no dimension."""
+    """Return the axis label of a state variable: ``wind speed (m s⁻¹)``; no brackets if it is dimensionless."""
     units = str(run[f"{variable}_mean"].attrs.get("units", "")) if units is None else units
     spoken = variable.replace("_", " ")
     if units in ("", "1"):

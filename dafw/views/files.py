@@ -1,4 +1,4 @@
-"""From run folders to picture files: what ``dafw run`` does at its end and ``dafw plot`` at any time."""
+"""From run folders to picture files, for the end of ``dafw run`` and for ``dafw plot``."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ LONGEST_OVERRIDE = 40
 
 
 def draw_all(run: Dataset, folder: Path) -> list[Path]:
-    """Write every picture that this run has the content for and return the files.
+    """Write every picture for which this run has data, and return the files.
 
     A truth gives err.png, readings give innovations.png. A field on a mesh gives route.png, contours.png and (with a
     polyline) section.png; a state without coordinates gives state.png; scalars of the state give parameters.png. Raises
@@ -55,8 +55,8 @@ def draw_all(run: Dataset, folder: Path) -> list[Path]:
 def compare(runs: Mapping[str, Dataset], folder: Path) -> list[Path]:
     """Write err.png and innovations.png of several runs, each in its colour, and route.png; return the files.
 
-    A run is left out of a picture that it has nothing for, which a line on standard error says; route.png is drawn
-    where all runs have a map. Raises RunError where nothing can be compared.
+    A run without data for a picture is left out of it, with a message on standard error. route.png is drawn only if
+    all runs have a map. Raises RunError if nothing can be compared.
     """
     files = []
     for name, draw, has_content, lacking in (
@@ -78,10 +78,10 @@ def compare(runs: Mapping[str, Dataset], folder: Path) -> list[Path]:
 def draw_runs(paths: Sequence[Path], out: Path | None) -> list[Path]:
     """Draw one run, or compare several, and return the files written.
 
-    ``paths`` are run folders or their ``run.nc``, or multiruns, of which all runs are meant that left one; what else a
-    shell's ``sweep/*`` names there is passed over. The pictures of one run go to ``out`` or its own folder's
-    ``figures``; a comparison goes to ``out`` or ``comparison`` in the current folder. Raises RunError where a path
-    holds no run that can be read.
+    ``paths`` are run folders or their ``run.nc``, or multiruns, which stand for all their runs that have a ``run.nc``.
+    Other files that a shell's ``sweep/*`` includes are ignored. The pictures of one run go to ``out`` or to
+    ``figures`` in its own folder; a comparison goes to ``out`` or to ``comparison`` in the current folder. Raises
+    RunError if a path holds no run that can be read.
     """
     files = [file for path in map(Path, paths) for file in _files_of(path, alone=len(paths) == 1)]
     if not files:
@@ -93,7 +93,7 @@ def draw_runs(paths: Sequence[Path], out: Path | None) -> list[Path]:
 
 
 def _files_of(path: Path, *, alone: bool) -> list[Path]:
-    """Return the files of a run or of all runs of a multirun; raises RunError where a multirun has left none."""
+    """Return the file of a run, or those of all runs of a multirun; raises RunError if a multirun has none."""
     if not alone and (path.name == RECORD or _left_nothing(path)):
         return []
     if path.name != RECORD and (not path.is_dir() or (path / "run.nc").exists() or not is_sweep(path)):
@@ -105,12 +105,12 @@ def _files_of(path: Path, *, alone: bool) -> list[Path]:
 
 
 def _left_nothing(path: Path) -> bool:
-    """Tell whether a folder is that of a job which ended before it had anything to record."""
+    """Return whether a folder belongs to a job that ended before it recorded anything."""
     return (path / ".hydra").is_dir() and not (path / "run.nc").exists()
 
 
 def _load(file: Path) -> Dataset:
-    """Read what the pictures need into memory, so that a damaged file is found here and not half-way through."""
+    """Read what the pictures need into memory, so that a damaged file is found before anything is drawn."""
     try:
         with open_run(file) as opened:
             # Whole ensembles of fields are large, and no picture shows them.
@@ -129,7 +129,7 @@ def _load(file: Path) -> Dataset:
 
 
 def _labels(files: Sequence[Path], runs: Sequence[Dataset]) -> list[str]:
-    """Name runs by the first of these that tells all of them apart: overrides, study, study and seed, path."""
+    """Name runs by the first of these that differs between all runs: overrides, study, study and seed, path."""
     names = [str(run.attrs.get("name", "run")) for run in runs]
     seeds = [f"{name}, seed {run.attrs.get('seed', '?')}" for name, run in zip(names, runs, strict=True)]
     paths = [str(file.parent if file.name == "run.nc" else file) for file in files]
@@ -140,7 +140,7 @@ def _labels(files: Sequence[Path], runs: Sequence[Dataset]) -> list[str]:
 
 
 def _own_overrides(files: Sequence[Path]) -> list[str]:
-    """Return what Hydra was told for each run and not for all of them: ``policy.theta=0.2``."""
+    """Return for each run the overrides that are not common to all runs, such as ``policy.theta=0.2``."""
     import yaml
 
     told = []
@@ -149,19 +149,19 @@ def _own_overrides(files: Sequence[Path]) -> list[str]:
         try:
             listed = yaml.safe_load(record.read_text(encoding="utf-8")) if record.is_file() else []
         except (OSError, UnicodeError, yaml.YAMLError):
-            listed = []  # a label less
+            listed = []  # without a label
         told.append([str(item) for item in listed] if isinstance(listed, list) else [])
     common = set.intersection(*map(set, told))
     return [", ".join(_short(item) for item in one if item not in common) for one in told]
 
 
 def _short(override: str) -> str:
-    """Return an override cut to a length that a legend has room for: a list of readings would fill a page."""
+    """Return an override shortened to fit into a legend: a list of readings, for example, would fill a page."""
     return override if len(override) <= LONGEST_OVERRIDE else f"{override[: LONGEST_OVERRIDE - 3]}..."
 
 
 def _save(figure: Figure, file: Path) -> Path:
-    """Write the picture; an interrupted save leaves the former one or none."""
+    """Write the picture; if this is interrupted, the former file stays, if there was one."""
     file.parent.mkdir(parents=True, exist_ok=True)
     with atomic_file(file) as stream:
         figure.savefig(stream, format="png", dpi=RESOLUTION, bbox_inches="tight", pad_inches=0.08)

@@ -1,4 +1,4 @@
-"""What the readings say about the belief, with or without a truth: the normalised innovations over time."""
+"""The normalised innovations over time: they judge a belief by its readings, with or without a truth."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
 LATEST = 20
-"""How many cycles with readings the curves look back over."""
+"""The number of cycles with readings that a point of the curves covers."""
 
 
 def plot_innovations(runs: Mapping[str, Dataset]) -> Figure:
     """Draw root mean square and mean of the normalised innovations of each run over time.
 
-    An innovation, reading less what the belief expected, is divided by the standard deviation that the belief expects
-    it to have: of an honest belief the root mean square is near 1 and the mean near 0. A dot is one cycle; one reading
-    says little, so the curves take all readings of the last ``LATEST`` cycles that had some together. Runs without
-    readings are left out; raises RunError where no run has any.
+    An innovation, the reading minus its prediction, is divided by the standard deviation that the belief predicts for
+    it. If the spread of the belief matches its error, the root mean square is near 1 and the mean near 0. A dot is one
+    cycle. One reading says little, so the curves combine all readings of the last ``LATEST`` cycles with readings. Runs
+    without readings are left out; raises RunError if no run has any.
     """
     styles = {text: run_style(index, len(runs)) for index, text in enumerate(runs)}
     read = {text: run for text, run in runs.items() if has_innovations(run)}
@@ -62,7 +62,7 @@ def plot_innovations(runs: Mapping[str, Dataset]) -> Figure:
 def recent(run: Dataset, name: str) -> np.ndarray:
     """Return (time,) an innovation score of all readings of the last ``LATEST`` cycles with readings, NaN elsewhere.
 
-    Every cycle counts by its number of readings.
+    Every cycle is weighted by its number of readings.
     """
     scores = run[name].values
     found = np.flatnonzero(np.isfinite(scores))

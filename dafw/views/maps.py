@@ -65,9 +65,9 @@ END: dict[str, Any] = {
 
 
 def plot_route(runs: Mapping[str, Dataset]) -> Figure:
-    """Draw where the vehicles of one or several runs flew and where something was read.
+    """Draw the paths of the vehicles of one or several runs, and the places of the readings.
 
-    The background is the first run's analysis mean at its last time. Raises RunError where that is no field on a mesh.
+    The background is the first run's analysis mean at its last time. Raises RunError if that is no field on a mesh.
     """
     background_label, run = next(iter(runs.items()))
     name = scored_variable(run)
@@ -107,8 +107,8 @@ def plot_contours(run: Dataset) -> Figure:
     """Draw the truth at the start and at the end, the free run and the belief at the end, on one colour scale.
 
     Without a truth: the belief at the start and at the end, and its spread at the end, on a scale of its own. Without
-    a free run its panel is left out. The polyline gamma of the section is drawn where the run has one. Raises RunError
-    where the scored variable is no field on a mesh.
+    a free run its panel is left out. The polyline gamma of the section is drawn if the run has one. Raises RunError if
+    the scored variable is no field on a mesh.
     """
     name = scored_variable(run)
     if not has_map(run):
@@ -149,7 +149,7 @@ def plot_contours(run: Dataset) -> Figure:
         axes.set_xlabel("x (m)")
     for axes in grid[:, 0]:
         axes.set_ylabel("y (m)")
-    # Two colour bars on the same side would leave open which panels the outer one is about.
+    # With two colour bars on the same side one could not see to which panels the outer one belongs.
     bar = figure.colorbar(
         grid.flat[0].collections[0],
         ax=grid,
@@ -174,7 +174,7 @@ def _height_to_width(mesh: Triangulation) -> float:
 
 
 def _draw_route(axes: Axes, run: Dataset, style: dict[str, Any]) -> None:
-    """Draw one run's nodes read, and every vehicle's path with its start and end."""
+    """Draw the nodes that one run read, and every vehicle's path with its start and end."""
     colour = style["color"]
     if "observation_x" in run.variables:
         x, y = run["observation_x"].values.ravel(), run["observation_y"].values.ravel()

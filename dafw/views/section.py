@@ -21,10 +21,10 @@ SAMPLES = 251
 
 
 def plot_section(run: Dataset) -> Figure:
-    """Draw the scored variable along gamma over time for truth, free run and belief, where there are such.
+    """Draw the scored variable along gamma over time for the truth, the free run and the belief, if recorded.
 
-    They share one colour scale. Where gamma crosses a building or leaves the mesh there is nothing to draw: those rows
-    are grey. Raises RunError where the run has no section, no field on a mesh, or only one time.
+    They share one colour scale. Rows where gamma crosses a building or leaves the mesh are grey. Raises RunError if the
+    run has no section, no field on a mesh, or only one time.
     """
     name = scored_variable(run)
     if not has_section(run):
@@ -63,7 +63,7 @@ def sample_polyline(corners: np.ndarray, samples: int) -> tuple[np.ndarray, np.n
 
 
 class SectionWeights:
-    """Linear interpolation from the nodes of a mesh to fixed points: found once, applied to every time."""
+    """Linear interpolation from the nodes of a mesh to fixed points; computed once, applied to every time."""
 
     def __init__(self, mesh: Triangulation, points: np.ndarray) -> None:
         found = mesh.get_trifinder()(*points.T)
@@ -72,7 +72,7 @@ class SectionWeights:
         area = _cross(b - a, c - a)
         second, third = _cross(points - a, c - a) / area, _cross(b - a, points - a) / area
         self.weights = np.column_stack([1.0 - second - third, second, third])
-        # The finder says -1 outside the mesh and inside its holes.
+        # The finder returns -1 outside the mesh and inside its holes.
         self.weights[found < 0] = np.nan
 
     def apply(self, values: np.ndarray) -> np.ndarray:

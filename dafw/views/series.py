@@ -41,9 +41,9 @@ if TYPE_CHECKING:
 
 
 def plot_errors(runs: Mapping[str, Dataset]) -> Figure:
-    """Draw ERR in per cent over time of each run, thinner that of its belief as revised later, and the free run dashed.
+    """Draw each run's ERR in per cent over time; beliefs revised later as thinner lines, the free run dashed.
 
-    The free run is drawn once where all runs share it. Runs without a truth are left out; raises RunError where no run
+    The free run is drawn once if all runs have the same. Runs without a truth are left out; raises RunError if no run
     has one.
     """
     styles = {text: run_style(index, len(runs)) for index, text in enumerate(runs)}
@@ -83,8 +83,8 @@ def plot_errors(runs: Mapping[str, Dataset]) -> Figure:
 def plot_parameters(run: Dataset) -> Figure:
     """Draw truth, free run and belief about every scalar of the state, one panel each; angles in degrees, unwrapped.
 
-    The band is the ensemble's standard deviation; members, the free run, the truth and the belief as revised later are
-    drawn where the file has them. Raises RunError where the state has no scalar.
+    The band is the ensemble's standard deviation. Members, the free run, the truth and the belief as revised later are
+    drawn if the file has them. Raises RunError if the state has no scalar.
     """
     scored_variable(run)
     names = scalar_variables(run)
@@ -138,10 +138,10 @@ def _draw_scalar(axes: Axes, run: Dataset, name: str) -> list[Artist]:
 
 
 def plot_state(run: Dataset) -> Figure:
-    """Draw truth and analysis mean of a state without coordinates: time upwards, index of the variable across.
+    """Draw truth and analysis mean of a state without coordinates: time on the vertical axis, index on the horizontal.
 
-    Without a truth the belief is drawn alone. Raises RunError where the scored variable is a scalar or the run has only
-    one time.
+    Without a truth only the belief is drawn. Raises RunError if the scored variable is a scalar or the run has only one
+    time.
     """
     name = scored_variable(run)
     truth, mean = stage(run, name, "truth"), run[f"{name}_mean"].values
@@ -174,7 +174,7 @@ def _wrap(difference: np.ndarray) -> np.ndarray:
 
 
 def _same_free_run(run: Dataset, longest: Dataset) -> bool:
-    """Say whether two runs agree in time and free run as far as the shorter goes."""
+    """Return whether two runs have the same times and free run, over the length of the shorter run."""
     length = run.sizes["time"]
     return all(
         np.array_equal(run[name].values, longest[name].values[:length], equal_nan=True) for name in ("time", "err_free")

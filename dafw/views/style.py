@@ -1,4 +1,4 @@
-"""Colours and scales that every picture shares: safe for colour-blind readers, light where there is nothing."""
+"""Colours and scales of all pictures; colour-blind readers can distinguish them, and zero is light."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ RESOLUTION = 130
 """Dots per inch."""
 
 HALO = [Stroke(linewidth=3.5, foreground="white"), Normal()]
-"""A white rim that keeps a thin line readable on any background."""
+"""A white outline that keeps a thin line visible on any background."""
 
 _MAGMA = matplotlib.colormaps["magma_r"]
 CONCENTRATION = LinearSegmentedColormap.from_list(
@@ -43,10 +43,10 @@ def new_figure(width: float, height: float, *, maps: bool = False) -> Figure:
 
 
 def run_style(index: int, runs: int) -> dict[str, Any]:
-    """Return the line colour and style of one of several runs; a run alone is the belief's blue."""
+    """Return the line colour and style of one of several runs; a single run has the belief's blue."""
     if runs == 1:
         return {"color": BELIEF_COLOUR, "linestyle": "-"}
-    # Dashes are the free run's; past the last colour the line style tells runs apart.
+    # Dashes are reserved for the free run; beyond the last colour, line styles distinguish the runs.
     return {
         "color": RUN_COLOURS[index % len(RUN_COLOURS)],
         "linestyle": ("-", ":", "-.")[index // len(RUN_COLOURS) % 3],
@@ -81,15 +81,15 @@ class ColourScale:
 
     @property
     def keywords(self) -> dict[str, Any]:
-        """Return what matplotlib's colouring functions take."""
+        """Return the keyword arguments for matplotlib's colouring functions."""
         return {"cmap": self.colours, "norm": self.norm}
 
 
 def colour_scale(truth: np.ndarray, upper: float, *shown: np.ndarray) -> ColourScale:
-    """Choose a scale for the arrays ``shown`` from what the ``truth`` is like.
+    """Choose a scale for the arrays ``shown`` from the values of the ``truth``.
 
-    A concentration runs from zero (white) to ``upper``; undershoots of a transport scheme do not change that. A field
-    that is as much below zero as above it runs from its least to its largest true value.
+    For a concentration it goes from zero (white) to ``upper``, whatever the undershoots of the transport scheme. For a
+    field with large negative values it goes from the smallest to the largest true value.
     """
     least, most = float(np.nanmin(truth)), float(np.nanmax(truth))
     if least < -0.25 * abs(most):
@@ -104,15 +104,16 @@ def colour_scale(truth: np.ndarray, upper: float, *shown: np.ndarray) -> ColourS
 
 
 def spread_scale(spread: np.ndarray) -> ColourScale:
-    """Return the scale of a standard deviation, in another colour than that of what it is about."""
+    """Return the scale of a standard deviation; its colours differ from those of the variable itself."""
     most = float(np.nanmax(spread))
     return ColourScale(SPREAD, Normalize(0.0, most if most > 0.0 else 1.0), "neither")
 
 
 def peak_at_end(truth: np.ndarray) -> float:
-    """Return the truth's maximum at the last time, (time, node): what is left of a decaying peak stays visible.
+    """Return the maximum of the truth (time, node) at the last time, so that a decayed peak is still visible.
 
-    A cloud that has all but left the domain is not blown up: never below a twentieth of the whole run's maximum.
+    It is at least a twentieth of the whole run's maximum, so that a cloud which has almost left the domain does not
+    fill the scale.
     """
     return max(float(np.nanmax(truth[-1])), 0.05 * float(np.nanmax(truth)))
 
@@ -126,7 +127,7 @@ def draw_buildings(axes: Axes, outlines: list[np.ndarray]) -> None:
 
 
 def map_axes(axes: Axes, x: np.ndarray, y: np.ndarray) -> None:
-    """Give a map one metre the same length in both directions, and no empty border."""
+    """Give a map the same scale in both directions, and no empty border."""
     axes.set_aspect("equal")
     axes.set_xlim(x.min(), x.max())
     axes.set_ylim(y.min(), y.max())
