@@ -1,4 +1,4 @@
-"""Figures that dafw is held to: ``python -m benchmarks [NAME...] [--json FILE]``.
+"""Measurements of speed and accuracy, with the values that dafw must reach: ``python -m benchmarks [NAME...]``.
 
 A benchmark is a function in a file of this folder::
 
@@ -6,8 +6,9 @@ A benchmark is a function in a file of this folder::
     def etkf_rmse(short: bool) -> Measurement:
         '''One sentence for the list.'''
 
-``short`` asks for the least that shows that it works; its value means nothing. Two things that are compared are timed
-alternately in one run, and the median of several ratios counts.
+``short`` asks for the smallest case that shows that the benchmark works; its value has no meaning. Two things to be
+compared are timed alternately in one run, and the result is the median of several ratios. ``--json FILE`` writes the
+results to a file.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Measurement:
-    """What a benchmark found; ``baseline`` is what the value is held against, ``detail`` how it came about."""
+    """The result of a benchmark; the value is compared with ``baseline``, and ``detail`` explains it."""
 
     value: float
     unit: str
@@ -58,7 +59,7 @@ def benchmarks() -> dict[str, Benchmark]:
 
 
 def machine() -> str:
-    """Return what a figure was measured on: processor, cores, system, Python."""
+    """Return a description of the machine: processor, cores, system, Python."""
     processor = platform.processor() or platform.machine()
     information = Path("/proc/cpuinfo")
     if information.is_file():

@@ -1,8 +1,8 @@
 """The literal algorithm beside the fast one, whole runs over seeds: ``python -m benchmarks.curves [--seeds S ...]``.
 
-Both run ``enie2d_paper`` in one process, cycle by cycle in turn. Prints, for each seed, the ratio of their times and
-how far apart their ERR ever is, and for all seeds how far ERR spreads over them. Each seed takes the literal algorithm
-some five minutes; ``--csv`` writes all numbers as they come, ``--picture`` draws the curves.
+Both run ``enie2d_paper`` in one process, alternating after every cycle. Prints, for each seed, the ratio of their times
+and the largest difference of their ERR, and the spread of ERR over all seeds. The literal algorithm takes about five
+minutes a seed. ``--csv`` writes all numbers as they come, ``--picture`` draws the curves.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Whole cycles of ``enie2d_paper``: real time, the paper's literal algorithm, what the framework itself takes.
+"""Whole cycles of ``enie2d_paper``: against real time and the paper's literal algorithm, and the framework's overhead.
 
-``BEST`` is the quickest configuration that there is. Ratios are of cycles of two runs taken in turn in one process;
-the first cycle, in which every member's wind is new, is not counted.
+``BEST`` is the fastest configuration. For ratios, the cycles of two runs are run alternately in one process. The first
+cycle, in which every member's wind is new, is not counted.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ SMALL = (
 LITERAL = ("model.wind.solver=newton", "model.wind.keep_factorisation=false", "executor=serial")
 BEST = ("model.wind.solver=reduced", "executor=serial")
 TOY = ("model.wind.keep_factorisation=true", "executor=processes", "executor.workers=1")
-"""Stands in for ``BEST`` where only the code is to be shown to work."""
+"""Replaces ``BEST`` in short runs, which only show that the code works."""
 
 
 @dataclass
 class Run:
-    """A study on its way, cycle by cycle, with nothing recorded."""
+    """A study that is run cycle by cycle, without recording."""
 
     parts: Parts
     state: State
@@ -50,7 +50,7 @@ class Run:
     errors: list[float] = field(default_factory=list)
 
     def cycle(self) -> None:
-        """Run one cycle, and note how long it took and the belief's ERR in per cent."""
+        """Run one cycle, and store its time and the belief's ERR in per cent."""
         begun = time.perf_counter()
         self.state = advance(self.parts, self.state).state
         self.seconds.append(time.perf_counter() - begun)
@@ -123,7 +123,7 @@ def over_literal(short: bool) -> Measurement:
         "err_literal": np.round(literal.errors, 2).tolist(),
         "err_best": np.round(quick.errors, 2).tolist(),
     }
-    # Of sums: winds are solved anew in some cycles only, and not always the same ones.
+    # The ratio of the sums, because winds are solved again in some cycles only, and not always in the same ones.
     return Measurement(float(slow[1:].sum() / fast[1:].sum()), "times the literal algorithm's speed", 20.0, detail)
 
 

@@ -62,7 +62,7 @@ def channel(refinement: int) -> Any:
 
 
 def forces(mesh: Any) -> tuple[Forces, int]:
-    """Return what the flow does to the cylinder, and the unknowns that it was found with."""
+    """Return the forces of the flow on the cylinder, and the number of unknowns."""
     from dafw.plugins.models.dispersion.fem.newton import NewtonSolver
     from dafw.plugins.models.dispersion.fem.taylor_hood import TaylorHood
 
@@ -84,7 +84,8 @@ def forces(mesh: Any) -> tuple[Forces, int]:
     start[components[inlet, 0]] = 4.0 * 0.3 * height * (HEIGHT - height) / HEIGHT**2
     reynolds = 1.0 / VISCOSITY  # per m/s: the unknowns are the velocity itself and the pressure over the viscosity
     found = NewtonSolver(problem).solve(start, reynolds, fixed, 1e-10, 20).unknowns
-    # The equations that were left out at the cylinder hold the force on it: Babuska & Miller (1984).
+    # The force is the residual of the equations that the boundary condition at the cylinder replaced: Babuska & Miller
+    # (1984).
     force = -VISCOSITY * problem.residual(found, reynolds)[components[cylinder]].sum(axis=0)
     drag, lift = 2.0 * force / (0.2**2 * 2.0 * RADIUS)
     places = problem.pressure_space.tabulate_dof_coordinates()[:, :2]

@@ -1,8 +1,8 @@
 """How the time of a cycle grows: ``python -m benchmarks.growth [--nodes K ...] [--members N ...] [OVERRIDE ...]``.
 
-Prints a table and fitted exponents: seconds of a cycle, the mean over some cycles after the first, against the nodes
-of the mesh of ``enie2d_paper`` and the members. Which exponent of nodes and which of members: least squares of the
-logarithms, each along its own axis.
+Prints a table of the seconds of a cycle (the mean over some cycles after the first) against the nodes of the mesh of
+``enie2d_paper`` and the members, and the fitted exponents. The exponents of nodes and of members are least-squares fits
+of the logarithms, each with the other number fixed.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ SIZES = {"2.5k": (16.0, 24.0, 100.0), "10k": (5.5, 14.0, 120.0), "40k": (2.7, 6.
 
 
 def seconds_of_a_cycle(nodes: str, members: int, cycles: int, overrides: Sequence[str]) -> tuple[int, float]:
-    """Return the nodes that there are, and the seconds."""
+    """Return the actual number of nodes, and the seconds."""
     wall, far, transition = SIZES[nodes]
     mesh = [f"model.mesh.wall_size={wall}", f"model.mesh.far_size={far}", f"model.mesh.transition={transition}"]
     with running([*PAPER, *mesh, f"members={members}", *overrides]) as run:

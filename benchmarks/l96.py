@@ -28,7 +28,7 @@ DIVERGED = 1.0  # an RMSE of the analysis above the readings' own error
 
 @dataclass(frozen=True)
 class Timed:
-    """What a run took, by the clock and of the processor, and its score.
+    """The wall time and the processor time of a run, and its score.
 
     The score is the RMSE of the analysis mean averaged over the last five sevenths of the cycles: 1000 of 1400.
     """
@@ -93,7 +93,7 @@ def etkf_over_dapper(short: bool) -> Measurement:
     ratios = [their.seconds / our.seconds for our, their in pairs]
     detail = {
         "ratios": [round(ratio, 2) for ratio in ratios],
-        # On a machine that is busy with other things these tell more.
+        # Processor times are more reliable on a busy machine.
         "ratios_of_processor_time": [round(their.processor_seconds / our.processor_seconds, 2) for our, their in pairs],
         "cycles_per_second": [round(cycles / our.seconds) for our in ours],
         "cycles_per_second_dapper": [round(cycles / their.seconds) for their in theirs],

@@ -1,4 +1,4 @@
-"""The proportional closure: the unit wind depends on the direction alone. What is then left of the wind in a run?"""
+"""The share of the wind in a run with the proportional closure, whose unit wind depends on the direction alone."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ TOY = ("model.wind.basis.directions=4", "model.wind.basis.modes=20", "model.wind
 
 @contextmanager
 def wind_calls() -> Iterator[list[float]]:
-    """Note the seconds of every solve of a wind in this process."""
+    """Collect the seconds of every solve of a wind in this process."""
     seconds: list[float] = []
     solve = WindSolver.solve
 
@@ -46,7 +46,7 @@ def wind_calls() -> Iterator[list[float]]:
 
 
 def run(overrides: list[str], cycles: int) -> dict[str, float]:
-    """Return the seconds of a run after its set-up, by the clock, and those of its winds."""
+    """Return the wall time in seconds of a run after its set-up, and that of its winds."""
     study = study_from(study_part(compose([*overrides, f"cycles={cycles}"])))
     with tempfile.TemporaryDirectory() as folder, wind_calls() as winds:
         summary = run_study(study, Path(folder) / "run")
@@ -67,7 +67,7 @@ def _share(short: bool, solver: str) -> Measurement:
     size, cycles = ([*SMALL, *TOY], 2) if short else (list(PAPER), 100)
     overrides = [*size, *PROPORTIONAL, f"model.wind.solver={solver}"]
     with cache(short):
-        run(overrides, 1)  # so that the basis is there
+        run(overrides, 1)  # so that the basis exists
         cheap = run(overrides, cycles)
         newton = run([*size, *PROPORTIONAL, "model.wind.solver=newton"], min(cycles, 10))
     return Measurement(cheap["share"], "of the run's time in winds", 0.05, {solver: cheap, "newton": newton})

@@ -1,7 +1,7 @@
-"""Write down the winds that a run solved: ``python -m benchmarks.record_winds FOLDER > benchmarks/winds_of_a_run.csv``.
+"""Print the winds that a run solved: ``python -m benchmarks.record_winds FOLDER > benchmarks/winds_of_a_run.csv``.
 
-``FOLDER`` holds the run, of a model ``ad_ins``. One line for each solve in the order in which they were made: m/s,
-radians, and the line of the member's last wind (counted from 0), empty for its first.
+``FOLDER`` holds a run of the model ``ad_ins``. There is one line for each solve, in order: speed in m/s, direction in
+radians, and the number (from 0) of the line with the member's wind before, empty for its first.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The transport: a step in winds of the reduced basis against the paper's step to the letter. docs/fast-winds.md."""
+"""The transport: a step in winds of the reduced basis against the paper's literal step. See docs/fast-winds.md."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def step_over_scratch(short: bool) -> Measurement:
         system = transport.system_of(advection.matrix(unit, intensity), member)
         return system, system.step(cloud)
 
-    member = transport.system(transport.uniform_velocity(1.0, 0.0))  # a member has one from its last wind
+    member = transport.system(transport.uniform_velocity(1.0, 0.0))  # every member has a system from its last wind
     for intensity, direction in draws(3 if short else 31, 8.0):
         solution, solve = timed(measured.reduced.solve, intensity, direction)
         wind = measured.reduced.velocity(solution)
@@ -80,7 +80,7 @@ def two_precisions(short: bool) -> Measurement:
 
 
 class FromScratch:
-    """The paper's step to the letter: all forms assembled, ILU, BiCGStab from zero."""
+    """The paper's literal step: all forms assembled, ILU, BiCGStab from zero."""
 
     def __init__(self, tagged_mesh: TaggedMesh, transport: Any):
         import dolfinx_solver  # noqa: F401  (before dolfinx)

@@ -1,8 +1,8 @@
-"""The wind: what the cheap solvers save, and what that costs in accuracy.
+"""The wind: the speed and the accuracy of the fast solvers.
 
-The winds are those that a run of ``enie2d_paper`` (seed 0, reduced winds) solved, in their order, each from the
-member's last one (``winds_of_a_run.csv``, written by ``record_winds.py``). The baseline is warm Newton: a fresh
-Jacobian and factorisation in each iteration, from the member's last wind. docs/fast-winds.md.
+The winds are those that a run of ``enie2d_paper`` (seed 0, reduced winds) solved, in the same order, each starting from
+the member's last wind (``winds_of_a_run.csv``, written by ``record_winds.py``). The baseline is warm Newton: it starts
+from the member's last wind, with a new Jacobian and factorisation in each iteration. See docs/fast-winds.md.
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ from dafw.plugins.models.dispersion.wind_solvers import wind_solver
 PAPER = MeshOptions(wall_size=5.5, far_size=14.0, transition=120.0)
 """That of ``enie2d_paper``: 10,000 nodes."""
 UNSEEN, SEED = 200, 20261122
-"""Winds whose error is measured; nothing in the solver was chosen after these were drawn."""
+"""Number of winds whose error is measured; they were not used to tune the solver."""
 BANDS = (0.0, 3.0, 6.0, 12.0)
-"""m/s; within which errors are listed."""
+"""Ranges of the wind speed (m/s) for which errors are listed."""
 
 
 def timed[**P, T](action: Callable[P, T], *given: P.args, **named: P.kwargs) -> tuple[T, float]:
-    """Return what an action returns and the seconds of the processor that it took, which no other load changes."""
+    """Return an action's result and its processor time in seconds, which other load affects less than wall time."""
     begun = time.process_time()
     done = action(*given, **named)
     return done, time.process_time() - begun
@@ -49,7 +49,7 @@ def timed[**P, T](action: Callable[P, T], *given: P.args, **named: P.kwargs) -> 
 
 @contextmanager
 def cache(short: bool) -> Iterator[None]:
-    """Leave the user's cache alone where only a toy is made."""
+    """Use a temporary cache instead of the user's for short runs."""
     if not short:
         yield
         return
@@ -89,7 +89,7 @@ class Case:
 
 @lru_cache
 def case(short: bool) -> Case:
-    """Return the paper's mesh, or a few tanks of the plant with a toy of a basis."""
+    """Return the paper's mesh, or for short runs a few tanks of the plant with a small basis."""
     with cache(short):
         if not short:
             made = Case(load(generate(load_site(SiteOptions()), PAPER)), WindOptions())
@@ -98,16 +98,16 @@ def case(short: bool) -> Case:
             mesh = load(generate(site, MeshOptions(wall_size=30.0, far_size=60.0, across=1)))
             basis = BasisOptions(directions=4, levels=2, max_intensity=8.0, modes=20, tolerance=1.0)
             made = Case(mesh, WindOptions(basis=basis))
-        made.accelerated, made.reduced  # noqa: B018  made while the cache is there
+        made.accelerated, made.reduced  # noqa: B018  make both while the temporary cache exists
     return made
 
 
 def re_solves(
     case: Case, every: int, count: int | None
 ) -> Iterator[tuple[float, float, np.ndarray | None, float, bool]]:
-    """Replay the run with the accelerated solver: intensity, direction, start, its seconds, whether it is one to time.
+    """Replay the run with the accelerated solver; yield intensity, direction, start, seconds and whether to time it.
 
-    All winds are solved, so that its kept factorisations are those of a run.
+    All winds are solved, so that the solver keeps the same factorisations as in the run.
     """
     file = Path(__file__).parent / "winds_of_a_run.csv"
     with file.open(encoding="utf-8", newline="") as lines:
@@ -160,7 +160,7 @@ def reduced_over_newton(short: bool) -> Measurement:
 
 
 def draws(count: int, strongest: float) -> list[tuple[float, float]]:
-    """Return winds as the paper's first guess draws their speed, up to the strongest, from anywhere."""
+    """Return winds with speeds from the paper's first guess, at most ``strongest``, and uniform directions."""
     from dafw.core.priors import Prior
 
     speeds, rng = Prior("weibull", {"mean": 2.5, "sd": 3.0}), np.random.default_rng(SEED)
@@ -174,14 +174,14 @@ def draws(count: int, strongest: float) -> list[tuple[float, float]]:
 
 @dataclass(frozen=True)
 class Errors:
-    """Of winds that the basis never saw: intensities (m/s), relative L2 errors and their estimates, (count,) each."""
+    """Winds that are not in the basis: intensities (m/s), relative L2 errors and their estimates, (count,) each."""
 
     intensities: np.ndarray
     actual: np.ndarray
     estimated: np.ndarray
 
     def listed(self, tolerance: float, chosen: np.ndarray | slice = slice(None)) -> dict[str, Any]:
-        """Return what a table shows of the chosen ones."""
+        """Return the table's figures for the chosen winds."""
         actual, estimated = self.actual[chosen], self.estimated[chosen]
         if not actual.size:
             return {"winds": 0}
@@ -199,7 +199,7 @@ class Errors:
 
 @lru_cache
 def errors(short: bool) -> tuple[Errors, Errors]:
-    """Return the errors of the solver, which takes as many modes as it needs, and those of all modes."""
+    """Return the errors of the solver, which uses as many modes as it needs, and those with all modes."""
     from dafw.plugins.models.dispersion.reduced_wind.velocity_space import VelocitySpace
 
     measured = case(short)
