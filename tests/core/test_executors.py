@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from trouble import Trouble
+from trouble import Trouble, install
 from waiting import PATIENCE, children, ended, go_on, halted
 
 import dafw
@@ -31,11 +31,7 @@ N = 7
 @pytest.fixture(autouse=True)
 def installed(tmp_path, monkeypatch):
     """Make the model `trouble` one that workers find in their registry."""
-    package = tmp_path / "packages" / "trouble-1.0.dist-info"
-    package.mkdir(parents=True)
-    (package / "METADATA").write_text("Metadata-Version: 2.1\nName: trouble\nVersion: 1.0\n")
-    (package / "entry_points.txt").write_text("[dafw]\ntrouble = trouble\n")
-    monkeypatch.syspath_prepend(str(package.parent))
+    install(tmp_path, monkeypatch)
 
 
 def walk(executor, steps=3, **options):

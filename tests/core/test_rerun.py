@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from toys import Counting, Growth, Nudge, toy_parts
-from trouble import Trouble
+from trouble import Trouble, install
 
 import dafw
 from dafw import (
@@ -148,11 +148,7 @@ def test_fields_at_the_start_follow_from_single_numbers_where_the_model_says_so(
 @pytest.fixture
 def trouble(tmp_path, monkeypatch):
     """Return the model `trouble`, made one that workers find in their registry, and seven members of it."""
-    package = tmp_path / "packages" / "trouble-1.0.dist-info"
-    package.mkdir(parents=True)
-    (package / "METADATA").write_text("Metadata-Version: 2.1\nName: trouble\nVersion: 1.0\n")
-    (package / "entry_points.txt").write_text("[dafw]\ntrouble = trouble\n")
-    monkeypatch.syspath_prepend(str(package.parent))
+    install(tmp_path, monkeypatch)
     model = Trouble()
     model.name = "trouble"
     return model, model.first_guess(7, Streams(4).members("initial", 0))

@@ -59,6 +59,15 @@ class Trouble(Model):
             Path(self.marker).touch()
 
 
+def install(tmp_path, monkeypatch):
+    """Make this module a package that workers find in their registry, for as long as a test lasts."""
+    package = tmp_path / "packages" / "trouble-1.0.dist-info"
+    package.mkdir(parents=True)
+    (package / "METADATA").write_text("Metadata-Version: 2.1\nName: trouble\nVersion: 1.0\n")
+    (package / "entry_points.txt").write_text("[dafw]\ntrouble = trouble\n")
+    monkeypatch.syspath_prepend(str(package.parent))
+
+
 @hookimpl
 def dafw_plugins():
     return [PluginSpec("model", "trouble", "trouble:Trouble", "goes wrong")]
