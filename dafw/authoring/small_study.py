@@ -51,6 +51,14 @@ class Mover(Model):
         """Return the first of the given members."""
         return np.array(self.members[:n_members])
 
+    def log_first_guess(self, members: Array) -> Array:
+        """Return the log density (N,) of the Gaussian with the mean and covariance of the given members."""
+        mean = self.space.mean(self.members)
+        anomalies = self.space.difference(self.members, mean)
+        covariance = anomalies.T @ anomalies / (len(anomalies) - 1) + 1e-6 * np.eye(self.space.size)
+        offset = self.space.difference(members, mean)
+        return -0.5 * np.einsum("ij,ij->i", offset, np.linalg.solve(covariance, offset.T).T)
+
     def initial_memory(self, members: Array) -> Memory | None:
         """Return the drift (N,) of each member, which depends on its state."""
         return {"drift": 0.1 * members[:, 0]} if self.remembers else None

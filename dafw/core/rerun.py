@@ -110,8 +110,22 @@ class Rerun:
 
     def settled(self, ensemble: Ensemble) -> Ensemble:
         """Return an ensemble at the start with its fields recomputed from its parameters (``Model.settled``)."""
-        members = self._model.settled(ensemble.members)
-        return ensemble.with_members(self._model.checked(members, ensemble.members.shape, "settled members"))
+        return ensemble.with_members(self.settled_members(ensemble.members))
+
+    def settled_members(self, members: Array) -> Array:
+        """Return members (N, n) at the start with their fields recomputed from their parameters."""
+        return self._model.checked(self._model.settled(members), members.shape, "settled members")
+
+    def first_guess(self, n_members: int, role: str, number: int) -> Ensemble:
+        """Return draws from the first guess; every pair of a ``role`` and a ``number`` has streams of its own."""
+        return self._model.first_guess(n_members, self._streams.members(f"rerun {role}", number)).ensemble
+
+    def log_first_guess(self, members: Array) -> Array:
+        """Return the log density (N,) of the first guess at members (N, n) at the start (``Model.log_first_guess``).
+
+        Raises ConfigurationError if the model does not know it.
+        """
+        return self._model.checked_log_density(members)
 
     def _replay(self, ensemble: Ensemble, first: int, last: int, stepped: Stepped, keep: bool) -> Replay:
         """Check and wrap the executor's result."""

@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 from dafw.core.domain import Domain
 from dafw.core.ensemble import Ensemble, Forecast, Memory, Step, handed_over
-from dafw.core.errors import ConfigurationError
+from dafw.core.errors import ConfigurationError, ContractError
 from dafw.core.plugin import Plugin
 from dafw.core.rng import MemberStreams
 from dafw.core.sharing import Shared
@@ -49,6 +51,17 @@ class Model(Plugin):
         """
         return members
 
+    def log_first_guess(self, members: Array) -> Array:
+        """Return the log density (N,) of the first guess at members (N, n) at the start, up to a constant.
+
+        It is the density of the numbers that the fields are recomputed from; minus infinity for impossible members.
+        Filters that weight members need it. Raises ConfigurationError unless a model defines it.
+        """
+        raise ConfigurationError(
+            f"{self.label} does not tell how likely its first guesses are, which the filter needs: it must define "
+            f"log_first_guess(members)"
+        )
+
     def notes(self) -> list[str]:
         """Return sentences for the log about what the model was built from."""
         return []
@@ -89,6 +102,15 @@ class Model(Plugin):
         """Draw, check and wrap the initial ensemble; raises ContractError."""
         members = self.checked(self.initial(n_members, rng), (n_members, self.space.size), "initial members")
         return Forecast(Ensemble(members, self.space), self.initial_memory(members))
+
+    def checked_log_density(self, members: Array) -> Array:
+        """Return ``log_first_guess`` of members (N, n); raises ContractError for another shape, NaN or +infinity."""
+        density = np.asarray(self.log_first_guess(members), dtype=np.float64)
+        if density.shape != (len(members),):
+            raise ContractError(f"{self.label}: log_first_guess must return ({len(members)},), got {density.shape}")
+        if not (density < np.inf).all():
+            raise ContractError(f"{self.label}: log_first_guess must return numbers below infinity, got {density}")
+        return density
 
     def forecast(self, ensemble: Ensemble, memory: Memory | None, rng: MemberStreams) -> Forecast:
         """Step the ensemble by dt; raises ContractError if the result has another shape or is not finite."""

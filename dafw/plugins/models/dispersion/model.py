@@ -195,6 +195,11 @@ class AdvectionDiffusion(Model):
 
         return self.settled(rng.draw(n_members, one))
 
+    def log_first_guess(self, members: Array) -> Array:
+        """Return the log density (N,) of the priors at the unknowns of members (N, n)."""
+        state = self.space.unpack(members)
+        return np.sum([one.prior.log_density(state[one.name][:, 0]) for one in self._unknown], axis=0)
+
     def settled(self, members: Array) -> Array:
         """Return the members (N, n) with the bells that follow from place and amount of their releases."""
         settled = members.copy()

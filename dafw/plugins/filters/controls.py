@@ -1,0 +1,79 @@
+"""Control variables: the numbers at the start that a filter with re-runs moves; the rest of the start follows.
+
+In a dispersion model they are the wind, the diffusion, the place of the release, ...; the cloud at the start follows
+from them (``Model.settled``). In a model without single numbers, such as Lorenz-96, they are the whole state.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from dafw.core.errors import ConfigurationError
+from dafw.core.rerun import Rerun
+from dafw.core.space import ANGLE, NONNEGATIVE, POSITIVE, Array, IntArray, StateSpace
+
+SMALLEST = 1e-12
+"""Numbers that must not be negative are at least this much in coordinates, where their logarithm is taken."""
+WRAPS = 2.0 * np.pi * np.array([-1.0, 0.0, 1.0])
+
+
+class Controls:
+    """The control variables of a state space.
+
+    Attributes:
+        names: of the variables.
+        entries: (k,) their entries in the state.
+
+    Raises ConfigurationError for names that are not variables of the space.
+    """
+
+    def __init__(self, space: StateSpace, names: Sequence[str] = ()) -> None:
+        """Take the variables named; without names those of size 1, and if there are none, all variables."""
+        single = [variable.name for variable in space.variables if variable.size == 1]
+        self.space = space
+        self.names = tuple(names) or tuple(single) or tuple(variable.name for variable in space.variables)
+        if len(set(self.names)) < len(self.names):
+            raise ConfigurationError(f"control variables: a name is listed twice in {list(self.names)}")
+        parts = [space.slice(name) for name in self.names]
+        self.entries: IntArray = np.concatenate([np.arange(part.start, part.stop) for part in parts])
+        kinds = np.concatenate([np.full(space[name].size, space[name].kind.value) for name in self.names])
+        self._logarithmic = np.isin(kinds, [POSITIVE.value, NONNEGATIVE.value])
+        self._angles = np.flatnonzero(kinds == ANGLE.value)
+
+    def __len__(self) -> int:
+        return len(self.entries)
+
+    def moved(self, rerun: Rerun, start: Array, steps: Array) -> Array:
+        """Return members (N, n) at the start whose controls have moved by ``steps`` (N, k), the fields recomputed.
+
+        The steps are those of ``StateSpace.retract``: positive numbers move in their logarithms.
+        """
+        moves = np.zeros_like(start)
+        moves[:, self.entries] = steps
+        return rerun.settled_members(self.space.retract(start, moves))
+
+    def coordinates(self, members: Array) -> Array:
+        """Return the controls (N, k) in coordinates without bounds: logarithms of positive and nonnegative numbers."""
+        values: Array = members[:, self.entries].copy()
+        values[:, self._logarithmic] = np.log(np.maximum(values[:, self._logarithmic], SMALLEST))
+        return values
+
+    def log_volume(self, coordinates: Array) -> Array:
+        """Return log |dx / dz| (N,): added to a log density of the numbers x, it makes one of the coordinates z."""
+        return np.asarray(coordinates[:, self._logarithmic].sum(axis=1))
+
+    def at(self, rerun: Rerun, start: Array, coordinates: Array) -> Array:
+        """Return members (N, n) at the start with the controls at ``coordinates`` (N, k), the fields recomputed."""
+        values = coordinates.copy()
+        values[:, self._logarithmic] = np.exp(values[:, self._logarithmic])
+        members = start.copy()
+        members[:, self.entries] = values
+        return rerun.settled_members(self.space.retract(members, np.zeros(self.space.size)))
+
+    def offset(self, coordinates: Array, centre: Array) -> Array:
+        """Return ``coordinates`` less ``centre``, both (..., k); angles wrapped to [-pi, pi)."""
+        offset: Array = np.subtract(coordinates, centre)
+        offset[..., self._angles] = np.mod(offset[..., self._angles] + np.pi, 2.0 * np.pi) - np.pi
+        return offset
