@@ -12,7 +12,15 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from dafw.core.ensemble import Diagnostic, Diagnostics
-from dafw.core.errors import ComputationError, ConfigurationError, ContractError, DafwError, DivergenceError, is_request
+from dafw.core.errors import (
+    ComputationError,
+    ConfigurationError,
+    ContractError,
+    DafwError,
+    DivergenceError,
+    about_member,
+    is_request,
+)
 from dafw.core.options import build
 from dafw.core.space import Array, StateSpace, Variable, sum_of_squares
 
@@ -110,11 +118,13 @@ def described(space: StateSpace, members: Array) -> str:
 def require_sense(plugin: Plugin, space: StateSpace, members: Array) -> None:
     """Raise DivergenceError where one of the members (N, n), which are finite, is far beyond what is plausible."""
     if space.exceeds(members, SENSELESS):
-        excess = space.excess(members)
-        raise DivergenceError(
-            f"{plugin.label}: the numbers have left all sense: {described(space, members)} is {excess:.3g} times the "
-            f"largest value that is plausible"
-        )
+        member, entry = space.farthest(members)
+        what, value = space.place_of(entry), members[member, entry]
+        with about_member(member):
+            raise DivergenceError(
+                f"{plugin.label}: the numbers have left all sense: {what}, {value:.6g}, is "
+                f"{space.excess(members):.3g} times the largest value that is plausible"
+            )
 
 
 def label_of(plugin: Plugin) -> str:

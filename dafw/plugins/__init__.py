@@ -27,6 +27,7 @@ def dafw_plugins() -> list[PluginSpec]:
         PluginSpec("filter", "enkf", f"{_HERE}.filters.enkf:EnKF", "stochastic EnKF with perturbed observations"),
         PluginSpec("filter", "kalman", f"{_HERE}.filters.kalman:Kalman", "exact, for linear problems and N > n"),
         PluginSpec("filter", "none", f"{_HERE}.filters.none:NoFilter", "the forecast is the analysis"),
+        PluginSpec("filter", "amis", f"{_HERE}.filters.amis:AMIS", "adaptive multiple importance sampling, re-runs"),
         PluginSpec("filter", "enks", f"{_HERE}.filters.enks:EnKS", "ensemble Kalman smoother, fixed lag or interval"),
         PluginSpec("readings", "twin", f"{_HERE}.readings.twin:Twin", "what the observer reads of a truth, with noise"),
         PluginSpec("readings", "listed", f"{_HERE}.readings.listed:Listed", "a list of readings with their times"),

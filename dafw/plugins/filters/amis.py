@@ -1,0 +1,161 @@
+"""Adaptive multiple importance sampling of the control variables, each sample run again from the start.
+
+A sample z has the weight ::
+
+    w(z) = p(z) L(z) / q(z),    q(z) = sum_b n_b q_b(z) / sum_b n_b
+
+with the prior p, the likelihood L of all readings so far, and the mixture q of the proposals of all batches b so far.
+So a sample stays of use for good: new readings only change its likelihood. The first batch is the first guess, with q_0
+= p. A further batch is proposed where the weights are degenerate, that is, where their effective sample size is below
+``enough``. It is drawn from ::
+
+    q_b = fresh p + (1 - fresh) (mean over centres c and widths h of t_5(z; c, h^2 C))
+
+C is the covariance of the samples under the tempered weights p L^power / q. The power is the largest whose effective
+sample size is the number of members, so that C is never that of one lucky sample. The centres are drawn from the same
+weights. The members of the belief are drawn from w.
+
+Cornuet, Marin, Mira and Robert (2012), doi:10.1111/j.1467-9469.2011.00756.x; the mixture q is the deterministic one of
+Veach and Guibas (1995), doi:10.1145/218380.218498. The tempering follows Koblents and Miguez (2015),
+doi:10.1007/s11222-013-9440-2.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from dafw.core.ensemble import Analysis, Diagnostic
+from dafw.core.interfaces import Filter
+from dafw.core.options import option
+from dafw.core.space import Array, StateSpace
+from dafw.core.window import Window
+from dafw.plugins.filters.candidates import (
+    Candidates,
+    effective_size,
+    evaluated,
+    first_candidates,
+    log_prior_of,
+    normalized,
+    rows,
+    systematic,
+    tempered,
+)
+from dafw.plugins.filters.controls import Controls
+from dafw.plugins.filters.kernels import Kernels
+from dafw.plugins.filters.likelihood import Likelihood
+
+HOPELESS = 30.0
+"""A proposal whose log prior is this much below the best sample's has no weight and is not run."""
+
+
+@dataclass
+class AMIS(Filter):
+    """Weights samples of the unknown parameters, each with a run of the model since the start, and proposes better."""
+
+    accuracy = "statistical"
+    past_beliefs = "first"
+    inflation_option = None
+
+    estimate: list[str] = option([], "names of the control variables; none: all single numbers of the state")
+    likelihood: Likelihood = option(Likelihood, "how likely a reading is")
+    window: int | None = option(None, "cycles to look back; null: to the start", minimum=1)
+    every: int = option(1, "cycles from one analysis to the next", minimum=1)
+    runs: int = option(40, "runs of the model since the start that one analysis may take", minimum=0)
+    enough: float = option(0.5, "effective sample size, per member, from which no sample is added", above=0.0)
+    fresh: float = option(0.2, "share of new samples that are drawn from the first guess", minimum=0.0, maximum=1.0)
+    archive: int = option(150, "samples kept from one analysis to the next", minimum=2)
+
+    def suit(self, space: StateSpace, n_members: int) -> None:
+        """Raise ConfigurationError for control variables that the state does not have."""
+        Controls(space, self.estimate)
+
+    def analyse_window(self, window: Window, rng: np.random.Generator) -> Analysis:
+        """Return members drawn from the weighted samples."""
+        number, ensemble = window.cycles[-1].number, window.forecast.ensemble
+        if (number + 1) % self.every:
+            return Analysis(ensemble.members, window.memory)
+        controls, size = Controls(ensemble.space, self.estimate), len(ensemble)
+        samples, kernels = self._known(window, controls)
+        runs, batches = 0, 0
+        while True:
+            log_base, fit = samples.log_prior - samples.log_proposal, self.likelihood.averaged(samples.fit)
+            weights = normalized(log_base + fit)
+            if effective_size(weights) >= self.enough * size or runs + size > self.runs:
+                break
+            # Half of the samples have to count: a few good ones among bad ones say nothing of the covariance.
+            leading = tempered(log_base, fit, min(float(size), 0.5 * len(samples)))
+            proposal = Kernels.around(controls, samples.coordinates, leading, size, rng)
+            kernels = kernels.joined(proposal)
+            samples = replace(samples, log_proposal=self._with_one_more(samples, proposal, size))
+            found = self._batch(window, controls, proposal, size, (number, batches), rng, samples.log_prior.max())
+            if found is not None:
+                samples = samples.joined(replace(found, log_proposal=self._of_all(found, kernels, size)))
+            runs, batches = runs + size, batches + 1
+        kept = np.sort(np.argsort(-weights, kind="stable")[: self.archive])
+        belief = rows(samples.now, systematic(weights, size, rng))
+        memory = {**samples.taken(kept).to_memory(), **kernels.to_memory(), "done": np.array(number + 1)}
+        diagnostics = self._diagnostics(samples, weights, runs)
+        return Analysis(belief.ensemble.members, memory, diagnostics, model_memory=belief.memory)
+
+    def _known(self, window: Window, controls: Controls) -> tuple[Candidates, Kernels]:
+        """Return the samples so far, carried to the present, and the proposals so far."""
+        if window.memory is None:
+            first = first_candidates(window, controls, self.likelihood)
+            return replace(first, log_proposal=first.log_prior + np.log(len(first))), Kernels.none(len(controls))
+        samples = Candidates.from_memory(window.memory, controls.space)
+        samples = samples.carried_on(window, int(window.memory["done"]), self.likelihood)
+        return samples, Kernels.from_memory(window.memory, controls)
+
+    def _batch(
+        self,
+        window: Window,
+        controls: Controls,
+        proposal: Kernels,
+        size: int,
+        number: tuple[int, int],
+        rng: np.random.Generator,
+        best: float,
+    ) -> Candidates | None:
+        """Draw a batch and run those samples that are not hopeless; None if all are."""
+        cycle, batch = number
+        fresh = window.rerun.first_guess(size, f"fresh samples {batch}", cycle).members
+        is_fresh = rng.random((size, 1)) < self.fresh
+        drawn = np.where(is_fresh, controls.coordinates(fresh), proposal.draw(size, rng))
+        starts = controls.at(window.rerun, fresh, drawn)
+        coordinates = controls.coordinates(starts)
+        log_prior = log_prior_of(window, controls, starts, coordinates)
+        kept = log_prior > best - HOPELESS
+        if not kept.any():
+            return None
+        return evaluated(window, starts[kept], coordinates[kept], log_prior[kept], self.likelihood)
+
+    def _log_density(self, kernels: Array, log_prior: Array) -> Array:
+        """Return log q_b from the log density of the kernels and of the prior; both (..., P)."""
+        with np.errstate(divide="ignore"):
+            return np.logaddexp(np.log(self.fresh) + log_prior, np.log1p(-self.fresh) + kernels)
+
+    def _with_one_more(self, samples: Candidates, proposal: Kernels, size: int) -> Array:
+        """Return log sum n_b q_b (P,) of samples with one more proposal."""
+        density = self._log_density(proposal.log_density(samples.coordinates)[-1], samples.log_prior)
+        return np.logaddexp(samples.log_proposal, np.log(size) + density)
+
+    def _of_all(self, found: Candidates, kernels: Kernels, size: int) -> Array:
+        """Return log sum n_b q_b (M,) of new samples over all proposals, the first guess included."""
+        density = self._log_density(kernels.log_density(found.coordinates), found.log_prior)
+        return np.logaddexp.reduce(np.vstack([density, found.log_prior]), axis=0) + np.log(size)
+
+    def _diagnostics(self, samples: Candidates, weights: Array, runs: int) -> dict[str, Diagnostic]:
+        """Return what is recorded of an analysis."""
+        of_sizes = np.exp(samples.fit - np.logaddexp.reduce(samples.fit, axis=1, keepdims=True))
+        absolute, relative = (weights @ of_sizes) @ self.likelihood.sizes
+        named: dict[str, tuple[Any, str]] = {
+            "runs": (runs, "runs of the model since the start in this analysis"),
+            "samples": (len(samples), "samples weighted"),
+            "effective_size": (effective_size(weights), "effective sample size of all samples"),
+            "model_error_absolute": (absolute, "estimated size of the model's error, in units of the readings"),
+            "model_error_relative": (relative, "estimated size of the model's error, relative"),
+        }
+        return {name: Diagnostic(value, long_name=text) for name, (value, text) in named.items()}

@@ -1,0 +1,192 @@
+"""Candidates: points in the space of the controls, each with its run of the model up to now and how well it fits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+
+from dafw.core.ensemble import Ensemble, Forecast, Memory
+from dafw.core.errors import DivergenceError, SolverError
+from dafw.core.space import Array, IntArray, StateSpace
+from dafw.core.window import Window
+from dafw.plugins.filters.controls import Controls
+from dafw.plugins.filters.likelihood import Likelihood
+
+MODEL = "model "
+"""Prefix of the model's memory among the arrays of ``Candidates.to_memory``."""
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """P candidates; arrays have them on axis 0.
+
+    starts       (P, n) at the beginning of the window
+    coordinates  (P, k) their controls (``Controls.coordinates``)
+    log_prior    (P,) log density of the first guess, of the coordinates
+    log_proposal (P,) log density that importance sampling divides by; zero where they are not weighted by it
+    fit          (P, S) log likelihood of all readings so far, for each size of the model's error
+    now          the candidates at the end of the present cycle, with the model's memory
+    """
+
+    starts: Array
+    coordinates: Array
+    log_prior: Array
+    log_proposal: Array
+    fit: Array
+    now: Forecast
+
+    def __len__(self) -> int:
+        return len(self.starts)
+
+    def taken(self, indices: IntArray) -> Candidates:
+        """Return the candidates of the given indices (M,)."""
+        arrays = {one.name: getattr(self, one.name)[indices] for one in fields(self) if one.name != "now"}
+        return Candidates(**arrays, now=rows(self.now, indices))
+
+    def joined(self, other: Candidates) -> Candidates:
+        """Return these candidates and others after them."""
+        arrays = {
+            one.name: np.concatenate([getattr(self, one.name), getattr(other, one.name)])
+            for one in fields(self)
+            if one.name != "now"
+        }
+        mine, theirs = self.now.memory, other.now.memory
+        memory = None
+        if mine is not None and theirs is not None:
+            memory = {name: np.concatenate([mine[name], theirs[name]]) for name in mine}
+        members = np.concatenate([self.now.ensemble.members, other.now.ensemble.members])
+        return Candidates(**arrays, now=Forecast(self.now.ensemble.with_members(members), memory))
+
+    def to_memory(self) -> dict[str, Any]:
+        """Return everything as named arrays."""
+        arrays = {one.name: getattr(self, one.name) for one in fields(self) if one.name != "now"}
+        arrays |= {"members": self.now.ensemble.members, "time": np.array(self.now.ensemble.time)}
+        return arrays | {f"{MODEL}{name}": array for name, array in (self.now.memory or {}).items()}
+
+    @classmethod
+    def from_memory(cls, memory: Memory, space: StateSpace) -> Candidates:
+        """Return the candidates that ``to_memory`` made arrays of."""
+        of_model = {name.removeprefix(MODEL): memory[name] for name in memory if name.startswith(MODEL)}
+        now = Forecast(Ensemble(memory["members"], space, float(memory["time"])), of_model or None)
+        arrays = {one.name: np.asarray(memory[one.name]) for one in fields(cls) if one.name != "now"}
+        return cls(**arrays, now=now)
+
+    def carried_on(self, window: Window, since: int, likelihood: Likelihood) -> Candidates:
+        """Return the candidates stepped from cycle ``since`` to the end of the present one, with all readings seen.
+
+        Candidates whose run fails are left out. A late reading belongs to a cycle that they have passed: then they are
+        run again from the start.
+        """
+        if any(number < since for number, _ in window.late):
+            again = evaluated(window, self.starts, self.coordinates, self.log_prior, likelihood)
+            return again if len(again) < len(self) else replace(again, log_proposal=self.log_proposal)
+        now, fit, kept = _run(window, self.now, since, likelihood)
+        rest = self.taken(kept)
+        return replace(rest, fit=rest.fit + fit, now=now)
+
+
+def rows(forecast: Forecast, indices: IntArray) -> Forecast:
+    """Return the members of the given indices (M,) of a forecast, without weights, with their share of the memory."""
+    memory = forecast.memory
+    part = None if memory is None else {name: np.asarray(array)[indices] for name, array in memory.items()}
+    return Forecast(forecast.ensemble.with_members(forecast.ensemble.members[indices]), part)
+
+
+def first_candidates(window: Window, controls: Controls, likelihood: Likelihood) -> Candidates:
+    """Return the belief at the start of the window, carried to the present by re-runs of the model."""
+    starts = window.first.ensemble.members
+    coordinates = controls.coordinates(starts)
+    log_prior = log_prior_of(window, controls, starts, coordinates)
+    return evaluated(window, starts, coordinates, log_prior, likelihood, window.first.memory)
+
+
+def log_prior_of(window: Window, controls: Controls, starts: Array, coordinates: Array) -> Array:
+    """Return the log density (P,) of the first guess, of the coordinates (P, k)."""
+    return window.rerun.log_first_guess(starts) + controls.log_volume(coordinates)
+
+
+def evaluated(
+    window: Window,
+    starts: Array,
+    coordinates: Array,
+    log_prior: Array,
+    likelihood: Likelihood,
+    memory: Memory | None = None,
+) -> Candidates:
+    """Run candidates from the start of the window and weigh all readings so far; those whose run fails are left out.
+
+    ``memory`` is the model's, if it is known; by default the model makes a new one.
+    """
+    ensemble = window.first.ensemble.with_members(starts)
+    start = ensemble if memory is None else Forecast(ensemble, memory)
+    now, fit, kept = _run(window, start, window.cycles[0].number, likelihood)
+    return Candidates(starts[kept], coordinates[kept], log_prior[kept], np.zeros(len(kept)), fit, now)
+
+
+def _run(
+    window: Window, start: Forecast | Ensemble, first: int, likelihood: Likelihood
+) -> tuple[Forecast, Array, IntArray]:
+    """Run members from cycle ``first`` to now: the members now, their fit (M, S), and the indices (M,) of the rest."""
+    cycles = [cycle for cycle in window.cycles if cycle.number >= first]
+    operators = {cycle.number: cycle.observation.operator for cycle in cycles if cycle.observation.values.size}
+    ensemble = start if isinstance(start, Ensemble) else start.ensemble
+    kept: IntArray = np.arange(len(ensemble))
+    while True:
+        part = ensemble.with_members(ensemble.members[kept]) if isinstance(start, Ensemble) else rows(start, kept)
+        try:
+            replay = window.rerun(part, first, cycles[-1].number + 1, operators=operators)
+            break
+        except (SolverError, DivergenceError) as error:
+            # The model cannot run this candidate, so it is given no weight. If none is left, there is no belief.
+            if error.member is None or len(kept) == 1:
+                raise
+            kept = np.delete(kept, error.member)
+    fit = np.zeros((len(kept), len(likelihood.sizes)))
+    for cycle in cycles:
+        if cycle.number in operators:
+            seen = cycle.observation
+            fit += likelihood.log_density(replay.predicted[cycle.number], seen.values, seen.covariance)
+    return Forecast(replay.forecast.ensemble, replay.forecast.memory), fit, kept
+
+
+def normalized(log_weights: Array) -> Array:
+    """Return weights (P,) that add up to one; equal ones if all are minus infinity."""
+    largest = log_weights.max()
+    if not np.isfinite(largest):
+        return np.full(len(log_weights), 1.0 / len(log_weights))
+    weights = np.exp(log_weights - largest)
+    return np.asarray(weights / weights.sum())
+
+
+def effective_size(weights: Array) -> float:
+    """Return 1 / sum w^2."""
+    return float(1.0 / (weights @ weights))
+
+
+def tempered(log_base: Array, log_likelihood: Array, wanted: float) -> Array:
+    """Return weights (P,) proportional to base x likelihood^power: the largest power with that effective size.
+
+    The power is between 0 and 1; a bisection finds it to 1e-6.
+    """
+
+    def weights(power: float) -> Array:
+        return normalized(log_base + power * log_likelihood)
+
+    if effective_size(weights(1.0)) >= wanted:
+        return weights(1.0)
+    low, high = 0.0, 1.0
+    while high - low > 1e-6:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if effective_size(weights(middle)) >= wanted else (low, middle)
+    return weights(low)
+
+
+def systematic(weights: Array, size: int, rng: np.random.Generator) -> IntArray:
+    """Return ``size`` indices drawn from the weights by systematic resampling: each within one of its expected count.
+
+    Kitagawa (1996), doi:10.1080/10618600.1996.10474692.
+    """
+    positions = (rng.random() + np.arange(size)) / size
+    return np.minimum(np.searchsorted(np.cumsum(weights), positions), len(weights) - 1)

@@ -1,0 +1,78 @@
+"""How likely readings are under a member's prediction: errors of the reading and of the model, heavy tails, zeros.
+
+For a reading y with error variance R and a prediction h, the misfit is scaled by ::
+
+    s^2 = R + a^2 + (r max(|h|, |y|))^2
+
+a and r are the absolute and relative sizes of the model's error. If several sizes are listed, every pair (a, r) is
+possible and all are equally likely beforehand; the likelihood is averaged over them. So the size is estimated: small
+in a twin experiment whose truth is the model, large where the model cannot follow the truth.
+
+(y - h) / s has a Student t distribution of ``degrees_of_freedom``, or a normal one. Readings a second apart share the
+model's error: each counts only as ``independence`` of a reading, that is, the likelihood is raised to that power.
+A reading below ``detection_limit`` says only that the truth is below it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dafw.core.errors import ConfigurationError
+from dafw.core.options import option
+from dafw.core.space import Array
+
+
+@dataclass
+class Likelihood:
+    """Options of the likelihood, and its evaluation."""
+
+    absolute: list[float] = option([0.0], "possible sizes of the model's error, in units of the readings")
+    relative: list[float] = option([0.0], "possible sizes of the model's error, relative to the larger of both")
+    degrees_of_freedom: float | None = option(
+        None, "of the Student t distribution of the errors; null: normally distributed", above=0.0
+    )
+    independence: float = option(1.0, "what one reading counts: the power of the likelihood", above=0.0, maximum=1.0)
+    detection_limit: float | None = option(None, "readings below it say only that the truth is below it; null: none")
+
+    def __post_init__(self) -> None:
+        for name in ("absolute", "relative"):
+            sizes = getattr(self, name)
+            if not sizes or any(isinstance(size, bool) or not size >= 0.0 for size in sizes):
+                raise ConfigurationError(f"likelihood.{name} must list one or more sizes of at least 0, got {sizes}")
+
+    @property
+    def sizes(self) -> Array:
+        """All pairs (S, 2) of absolute and relative sizes of the model's error."""
+        return np.array([(a, r) for a in self.absolute for r in self.relative], dtype=np.float64)
+
+    def log_density(self, predicted: Array, values: Array, covariance: Array) -> Array:
+        """Return the log likelihood (N, S) of the readings, for every member and every pair of ``sizes``.
+
+        predicted    (N, m) what the members predict
+        values       (m,) the readings
+        covariance   (m,) or (m, m) R; of a full matrix only the diagonal is used
+        """
+        from scipy.special import gammaln, log_ndtr, stdtr
+
+        variance = covariance if covariance.ndim == 1 else np.diag(covariance)
+        largest = np.maximum(np.abs(predicted), np.abs(values))
+        absolute, relative = self.sizes.T[:, :, np.newaxis, np.newaxis]
+        scale = np.sqrt(variance + absolute**2 + (relative * largest) ** 2)  # (S, N, m)
+        misfit = (values - predicted) / scale
+        degrees = self.degrees_of_freedom
+        if degrees is None:
+            density = -0.5 * misfit**2 - np.log(scale) - 0.5 * np.log(2.0 * np.pi)
+        else:
+            constant = gammaln(0.5 * (degrees + 1.0)) - gammaln(0.5 * degrees) - 0.5 * np.log(degrees * np.pi)
+            density = constant - np.log(scale) - 0.5 * (degrees + 1.0) * np.log1p(misfit**2 / degrees)
+        if self.detection_limit is not None:
+            below = (self.detection_limit - predicted) / scale
+            chance = log_ndtr(below) if degrees is None else np.log(np.maximum(stdtr(degrees, below), 1e-300))
+            density = np.where(values < self.detection_limit, chance, density)
+        return np.asarray(self.independence * density.sum(axis=2).T)
+
+    def averaged(self, log_density: Array) -> Array:
+        """Return the log likelihood (N,) averaged over the sizes, of sums (N, S) of ``log_density`` over readings."""
+        return np.asarray(np.logaddexp.reduce(log_density, axis=1) - np.log(log_density.shape[1]))
