@@ -31,7 +31,7 @@ from dafw.plugins.models.dispersion.wind.options import WindOptions, require_one
 if TYPE_CHECKING:
     from dafw.plugins.models.dispersion.reduced_wind.advection import ReducedAdvection
     from dafw.plugins.models.dispersion.site.site import Site
-    from dafw.plugins.models.dispersion.transport.system import TransportSystem
+    from dafw.plugins.models.dispersion.transport.transport import System
     from dafw.plugins.models.dispersion.wind.solver import WindSolver
 
 
@@ -170,13 +170,13 @@ class AdvectionDiffusionINS(AdvectionDiffusion):
         from dafw.plugins.models.dispersion.reduced_wind.reduced import ReducedWindSolver
 
         solver = self.solver
-        if not isinstance(solver, ReducedWindSolver) or self.transport.scheme != "galerkin":
+        if not isinstance(solver, ReducedWindSolver) or self.transport.scheme == "supg":
             return None
         # It depends neither on the diffusion nor on the time step.
         name = ("reduced advection", self.tagged_mesh, repr(self.wind))
         return self._shared.once(name, lambda: ReducedAdvection(self._transport, solver))
 
-    def system(self, wind: Array, diffusion: float, reuse: TransportSystem | None = None) -> TransportSystem:
+    def system(self, wind: Array, diffusion: float, reuse: System | None = None) -> System:
         """Return the system of a step in the wind of one member; the arguments are as above."""
         reduced = self._reduced_advection
         if reduced is None or not reduced.holds(wind[:-1]):

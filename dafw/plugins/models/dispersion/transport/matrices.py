@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from dafw.plugins.models.dispersion.fem.sparsity import Sparsity
 from dafw.plugins.models.dispersion.mesh.tagged import OUTER, TaggedMesh
+from dafw.plugins.models.dispersion.transport.edges import Edges
 from dafw.plugins.models.dispersion.transport.options import TransportOptions
 
 # isort: split
@@ -28,11 +30,12 @@ class TransportMatrices:
         sparsity: the sparsity pattern of all matrices; z is its number of entries.
         nodes: number of the nodes.
         places: (nodes, 2) where they are, in m.
-        outer: indices of the nodes on the outer boundary, where the concentration is zero.
+        outer: indices of the nodes on the outer boundary.
+        fixed: those of them where the concentration is zero: all, or none if the boundary is open.
         row_starts: (nodes,) index of the first entry of every row.
         diagonal: (nodes,) index of the diagonal entry of every row.
-        fixed_entries: indices of the entries in rows and columns of outer nodes.
-        fixed_diagonal: indices of the diagonal entries of outer nodes.
+        fixed_entries: indices of the entries in rows and columns of fixed nodes.
+        fixed_diagonal: indices of the diagonal entries of fixed nodes.
         before: the SciPy matrix that acts on the old concentration, in a step without wind.
         stiffness: (z,) CSR values of the stiffness matrix.
         calm: (z,) CSR values of the matrix that acts on the new concentration, in a step without wind.
@@ -51,16 +54,34 @@ class TransportMatrices:
         indptr, indices, rows = self.sparsity.indptr, self.sparsity.indices, self.sparsity.rows
         self.places: np.ndarray = self.space.tabulate_dof_coordinates()[: self.nodes, : mesh.geometry.dim]
         outer = fem.locate_dofs_topological(self.space, mesh.topology.dim - 1, tagged_mesh.facet_tags.find(OUTER))
-        self.outer = outer[outer < self.nodes]
+        self.outer: np.ndarray = outer[outer < self.nodes]
+        self.fixed = self.outer if options.outflow == "zero" else self.outer[:0]
         fixed = np.zeros(self.nodes, dtype=bool)
-        fixed[self.outer] = True
+        fixed[self.fixed] = True
         self.row_starts, self.diagonal = indptr[:-1].astype(np.intp), np.flatnonzero(rows == indices)
         self.fixed_entries = np.flatnonzero(fixed[rows] | self.sparsity.with_ghosts(fixed)[indices])
-        self.fixed_diagonal = self.diagonal[self.outer]
+        self.fixed_diagonal = self.diagonal[self.fixed]
         self.before = self.sparsity.csr(self.assemble(mass) / dt)
         self.stiffness = self.assemble(stiffness)
         self.calm = self.before.data + options.diffusion * self.stiffness
 
+    @cached_property
+    def edges(self) -> Edges:
+        """The edges of the mesh, for flux-corrected transport."""
+        return Edges(self.sparsity)
+
     def assemble(self, form: Any) -> np.ndarray:
         """Return the CSR values (z,) of a bilinear form of the space."""
         return self.sparsity.assemble(form).copy()
+
+    def outward(self, advection: np.ndarray) -> np.ndarray:
+        """Return how much air leaves through the outer boundary near its nodes, (outer nodes,) in m^2/s.
+
+        At node i that is the integral of phi_i w.n, negative where the wind enters. It is the sum of column i of the
+        advection matrix, since the wind is free of divergence against every P1 function. For meshes of one process.
+
+        Args:
+            advection: (z,) CSR values of the advection matrix of the wind.
+        """
+        sums: np.ndarray = np.bincount(self.sparsity.indices, advection, minlength=self.nodes)[self.outer]
+        return sums

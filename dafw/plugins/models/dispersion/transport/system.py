@@ -122,9 +122,9 @@ class TransportSystem:
                 raise ContractError(f"transport: expected {matrices.nodes} nodal values, got shape {array.shape}")
         supplied = concentration if source is None else concentration + matrices.dt * source
         self._left.array[:] = self._before @ matrices.sparsity.with_ghosts(supplied)
-        self._left.array[matrices.outer] = 0.0
+        self._left.array[matrices.fixed] = 0.0
         self._right.array[:] = concentration
-        self._right.array[matrices.outer] = 0.0
+        self._right.array[matrices.fixed] = 0.0
         if not self.solved_directly:
             self._solver.solve(self._left, self._right)
         if self.solved_directly or self._solver.getConvergedReason() <= 0:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from dafw.plugins.models.dispersion.mesh.tagged import TaggedMesh
+from dafw.plugins.models.dispersion.transport.flux_corrected import FluxCorrectedSystem
 from dafw.plugins.models.dispersion.transport.matrices import TransportMatrices
 from dafw.plugins.models.dispersion.transport.options import TransportOptions
 from dafw.plugins.models.dispersion.transport.system import TransportSystem
@@ -29,6 +30,10 @@ BYTES_PER_ENTRY = 100
 Measured: 40 after weak winds alone (ILU(0)), 70 to 110 after medium winds, too (ILU(1)), 100 after strong winds alone
 (LU), 160 after winds of all kinds.
 """
+
+
+type System = TransportSystem | FluxCorrectedSystem
+"""The system of a step in one wind, of whatever scheme."""
 
 
 class Transport:
@@ -89,9 +94,7 @@ class Transport:
         function.x.array.reshape(-1, 2)[:] = intensity * np.array([np.cos(direction), np.sin(direction)])
         return function
 
-    def system(
-        self, velocity: Any, reuse: TransportSystem | None = None, *, diffusion: float | None = None
-    ) -> TransportSystem:
+    def system(self, velocity: Any, reuse: Any = None, *, diffusion: float | None = None) -> System:
         """Return the system of a step in one wind.
 
         Args:
@@ -106,12 +109,10 @@ class Transport:
         matrices = self.matrices
         advected_mass = matrices.assemble(self._advected_mass) / matrices.dt
         before = matrices.sparsity.csr(matrices.before.data + advected_mass)
-        return self._system(advection + advected_mass, before, reuse)
+        return self._system(self._without_inflow(advection) + advected_mass, before, reuse)
 
-    def system_of(
-        self, advection: np.ndarray, reuse: TransportSystem | None = None, *, diffusion: float | None = None
-    ) -> TransportSystem:
-        """Return the system of a step in one wind, for Galerkin's scheme.
+    def system_of(self, advection: np.ndarray, reuse: Any = None, *, diffusion: float | None = None) -> System:
+        """Return the system of a step in one wind, for Galerkin's scheme and for flux-corrected transport.
 
         Args:
             advection: (z,) CSR values of the advection matrix of the wind.
@@ -119,9 +120,25 @@ class Transport:
             diffusion: as for ``system``.
         """
         matrices = self.matrices
-        if diffusion is not None and diffusion != matrices.options.diffusion:
-            advection = advection + (diffusion - matrices.options.diffusion) * matrices.stiffness
-        return self._system(advection, matrices.before, reuse)
+        if diffusion is None:
+            diffusion = matrices.options.diffusion
+        if matrices.options.scheme == "fct":
+            corrected: FluxCorrectedSystem = reuse or FluxCorrectedSystem(matrices)
+            corrected.change(advection, diffusion)
+            return corrected
+        added = self._without_inflow(advection)
+        if diffusion != matrices.options.diffusion:
+            added = added + (diffusion - matrices.options.diffusion) * matrices.stiffness
+        return self._system(added, matrices.before, reuse)
+
+    def _without_inflow(self, advection: np.ndarray) -> np.ndarray:
+        """Return the CSR values (z,) of the advection with an open boundary: where the wind enters it brings no gas."""
+        matrices = self.matrices
+        if matrices.options.outflow == "zero":
+            return advection
+        open_advection = advection.copy()
+        open_advection[matrices.diagonal[matrices.outer]] += np.maximum(-matrices.outward(advection), 0.0)
+        return open_advection
 
     def advection(self, velocity: Any) -> np.ndarray:
         """Return the CSR values (z,) of the advection matrix of a wind; ``velocity`` is as for ``system``.

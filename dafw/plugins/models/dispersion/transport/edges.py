@@ -1,0 +1,52 @@
+"""The edges between the nodes: what the gas is exchanged along, in flux-corrected transport."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dafw.plugins.models.dispersion.fem.sparsity import Sparsity
+
+# isort: split
+from scipy.sparse import csr_matrix
+
+
+class Edges:
+    """The pairs of nodes that share a triangle, each once; e is their number.
+
+    Attributes:
+        first: (e,) one node of every edge.
+        second: (e,) the other one.
+        there: (e,) index of the CSR entry in the row of the first node and the column of the second.
+        back: (e,) index of the CSR entry in the row of the second node and the column of the first.
+    """
+
+    def __init__(self, sparsity: Sparsity):
+        """Take the edges from a sparsity pattern, which is symmetric, of a mesh that is not divided."""
+        rows, columns, size = sparsity.rows, sparsity.indices, sparsity.size
+        # Sorted by row and column, and by column and row: entry k of one is the transpose of entry k of the other.
+        by_rows, by_columns = np.lexsort((columns, rows)), np.lexsort((rows, columns))
+        transposed = np.empty(rows.size, dtype=np.intp)
+        transposed[by_rows] = by_columns
+        self.there: np.ndarray = np.flatnonzero(rows < columns)
+        self.back = transposed[self.there]
+        self.first, self.second = rows[self.there].astype(np.intp), columns[self.there].astype(np.intp)
+        edges = np.arange(self.there.size)
+        count = edges.size
+        where = (np.concatenate([self.first, self.second]), np.concatenate([edges, edges + count]))
+        self._columns, self._row_starts = columns, sparsity.indptr[:-1].astype(np.intp)
+        self._gather = csr_matrix((np.ones(2 * count), where), shape=(size, 2 * count))
+
+    def sums(self, at_first: np.ndarray, at_second: np.ndarray) -> np.ndarray:
+        """Return, for every node (n,) or (n, k), the sum over its edges of what each has for this end.
+
+        Args:
+            at_first: (e,) or (e, k) for the first node of every edge.
+            at_second: likewise for the second node.
+        """
+        found: np.ndarray = self._gather @ np.concatenate([at_first, at_second])
+        return found
+
+    def range(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the lowest and the highest value (n,) in every node and its neighbours."""
+        around = values[self._columns]
+        return np.minimum.reduceat(around, self._row_starts), np.maximum.reduceat(around, self._row_starts)
