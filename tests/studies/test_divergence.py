@@ -80,9 +80,7 @@ def test_a_model_that_runs_away_is_warned_of_once_and_ended(tmp_path, capsys):
 
 
 def test_a_filter_that_runs_away_is_named(tmp_path):
-    with pytest.raises(
-        DivergenceError, match=r"at t = 3 s, phase 'analyse': member 1: filter 'Pushing': .*, 176000, "
-    ):
+    with pytest.raises(DivergenceError, match=r"at t = 3 s, phase 'analyse': member 1: filter 'Pushing': .*, 176000, "):
         dafw.run(study(Still(), Pushing()), tmp_path / "run")
     assert summary(tmp_path / "run")["diverged_at"] == 1.0
 

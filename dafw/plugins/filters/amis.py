@@ -30,7 +30,7 @@ import numpy as np
 from dafw.core.ensemble import Analysis, Diagnostic
 from dafw.core.interfaces import Filter
 from dafw.core.options import option
-from dafw.core.space import Array, StateSpace
+from dafw.core.space import Array, IntArray, StateSpace
 from dafw.core.window import Window
 from dafw.plugins.filters.candidates import (
     Candidates,
@@ -49,6 +49,11 @@ from dafw.plugins.filters.likelihood import Likelihood
 
 HOPELESS = 30.0
 """A proposal whose log prior is this much below the best sample's has no weight and is not run."""
+NEGLIGIBLE = 1e-4
+"""Weight that the samples which are given up may have together; half an archive is kept in any case."""
+MIDDLE = 0.5
+"""The offset of the draw of members. It stays the same, so that most members stay from one analysis to the next: a
+policy would otherwise see another belief in each cycle, and the model would need other winds."""
 
 
 @dataclass
@@ -63,8 +68,10 @@ class AMIS(Filter):
     likelihood: Likelihood = option(Likelihood, "how likely a reading is")
     window: int | None = option(None, "cycles to look back; null: to the start", minimum=1)
     every: int = option(1, "cycles from one analysis to the next", minimum=1)
-    runs: int = option(40, "runs of the model since the start that one analysis may take", minimum=0)
-    enough: float = option(0.5, "effective sample size, per member, from which no sample is added", above=0.0)
+    steps: int = option(
+        2000, "steps of the model, summed over samples, that re-runs in one analysis may take", minimum=0
+    )
+    enough: float = option(3.0, "effective sample size, per member, from which no sample is added", above=0.0)
     fresh: float = option(0.2, "share of new samples that are drawn from the first guess", minimum=0.0, maximum=1.0)
     archive: int = option(150, "samples kept from one analysis to the next", minimum=2)
 
@@ -79,11 +86,12 @@ class AMIS(Filter):
             return Analysis(ensemble.members, window.memory)
         controls, size = Controls(ensemble.space, self.estimate), len(ensemble)
         samples, kernels = self._known(window, controls)
-        runs, batches = 0, 0
+        cost = size * len(window.cycles)
+        batches = 0
         while True:
             log_base, fit = samples.log_prior - samples.log_proposal, self.likelihood.averaged(samples.fit)
             weights = normalized(log_base + fit)
-            if effective_size(weights) >= self.enough * size or runs + size > self.runs:
+            if effective_size(weights) >= self.enough * size or cost * (batches + 1) > self.steps:
                 break
             # Half of the samples have to count: a few good ones among bad ones say nothing of the covariance.
             leading = tempered(log_base, fit, min(float(size), 0.5 * len(samples)))
@@ -93,12 +101,13 @@ class AMIS(Filter):
             found = self._batch(window, controls, proposal, size, (number, batches), rng, samples.log_prior.max())
             if found is not None:
                 samples = samples.joined(replace(found, log_proposal=self._of_all(found, kernels, size)))
-            runs, batches = runs + size, batches + 1
-        kept = np.sort(np.argsort(-weights, kind="stable")[: self.archive])
-        belief = rows(samples.now, systematic(weights, size, rng))
+            batches += 1
+        kept = self._worth_keeping(weights)
+        belief = rows(samples.now, systematic(weights, size, MIDDLE))
+        members = ensemble.space.retract(belief.ensemble.members, np.zeros(ensemble.space.size))
         memory = {**samples.taken(kept).to_memory(), **kernels.to_memory(), "done": np.array(number + 1)}
-        diagnostics = self._diagnostics(samples, weights, runs)
-        return Analysis(belief.ensemble.members, memory, diagnostics, model_memory=belief.memory)
+        diagnostics = self._diagnostics(samples, weights, batches * size)
+        return Analysis(members, memory, diagnostics, model_memory=belief.memory)
 
     def _known(self, window: Window, controls: Controls) -> tuple[Candidates, Kernels]:
         """Return the samples so far, carried to the present, and the proposals so far."""
@@ -131,6 +140,12 @@ class AMIS(Filter):
         if not kept.any():
             return None
         return evaluated(window, starts[kept], coordinates[kept], log_prior[kept], self.likelihood)
+
+    def _worth_keeping(self, weights: Array) -> IntArray:
+        """Return the samples, in their order, that together have all weight but ``NEGLIGIBLE``; at most ``archive``."""
+        best_first = np.argsort(-weights, kind="stable")
+        count = np.searchsorted(np.cumsum(weights[best_first]), 1.0 - NEGLIGIBLE) + 1
+        return np.asarray(np.sort(best_first[: min(max(count, self.archive // 2), self.archive)]))
 
     def _log_density(self, kernels: Array, log_prior: Array) -> Array:
         """Return log q_b from the log density of the kernels and of the prior; both (..., P)."""

@@ -183,10 +183,11 @@ def tempered(log_base: Array, log_likelihood: Array, wanted: float) -> Array:
     return weights(low)
 
 
-def systematic(weights: Array, size: int, rng: np.random.Generator) -> IntArray:
+def systematic(weights: Array, size: int, offset: float) -> IntArray:
     """Return ``size`` indices drawn from the weights by systematic resampling: each within one of its expected count.
 
-    Kitagawa (1996), doi:10.1080/10618600.1996.10474692.
+    ``offset`` is a uniform draw from [0, 1). With the same offset and slightly different weights most of the indices
+    are the same. Kitagawa (1996), doi:10.1080/10618600.1996.10474692.
     """
-    positions = (rng.random() + np.arange(size)) / size
+    positions = (offset + np.arange(size)) / size
     return np.minimum(np.searchsorted(np.cumsum(weights), positions), len(weights) - 1)

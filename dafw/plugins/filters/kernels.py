@@ -54,7 +54,7 @@ class Kernels:
         # The width that suits a normal distribution best (Silverman 1986, Sec. 4.3).
         width = (4.0 / (size * (k + 2.0))) ** (1.0 / (k + 4.0))
         factor = np.linalg.cholesky(width**2 * covariance + SMALLEST_SD**2 * np.eye(k))
-        centres = coordinates[systematic(weights, n_centres, rng)]
+        centres = coordinates[systematic(weights, n_centres, rng.random())]
         return cls(controls, centres[np.newaxis], factor[np.newaxis])
 
     def joined(self, other: Kernels) -> Kernels:
