@@ -13,7 +13,8 @@ The state's ``wind_speed`` I and ``wind_direction`` d are the wind at t = 0. At 
 
 In the step from t to t + dt the wind is that of t + dt/2, so that the gas travels as far as in a wind that changes
 within the step, up to the second order of dt. The wind of ``ad_ins`` is quasi-steady: at each time it is the steady
-wind of the present speed and direction.
+wind of the present speed and direction. With ``every`` the wind is that of the middle of an interval of this length,
+and held in all steps whose middle lies in it.
 
 This module is imported with the options of the models, so it must be light.
 """
@@ -40,6 +41,9 @@ class WindChangeOptions:
         "none",
         "none; smooth: a random function of time, part of the state; prescribed: a veer and gusts, for truths",
         choices=("none", "smooth", "prescribed"),
+    )
+    every: float | None = option(
+        None, "seconds for which a wind is held before it changes again, to save time; null: each step", above=0.0
     )
     knots: int = option(4, "smooth: number of times at which the change is a number of the state", minimum=1)
     spacing: float = option(25.0, "smooth: seconds between them; the first is so long after t = 0", above=0.0)
@@ -111,6 +115,8 @@ class WindChange:
         options = self.options
         if options.kind == "none":
             return speed, direction
+        if options.every is not None:
+            t = (np.floor(t / options.every) + 0.5) * options.every
         if options.kind == "prescribed":
             speed = speed * (1.0 + options.gust * np.sin(TWO_PI * t / options.period))
             return speed, np.mod(direction + options.veer * min(t / options.duration, 1.0), TWO_PI)

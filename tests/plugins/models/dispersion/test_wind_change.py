@@ -69,6 +69,12 @@ def test_a_prescribed_veer_reaches_its_end_and_gusts_their_amplitude():
     assert wind_at(PRESCRIBED, 60.0)[1] == wind_at(PRESCRIBED, 200.0)[1] == pytest.approx(1.3)
 
 
+def test_a_wind_may_be_held_for_a_while():
+    held = PRESCRIBED | {"every": 4.0}
+    for t, middle in ((0.5, 2.0), (3.5, 2.0), (4.5, 6.0), (7.9, 6.0), (61.0, 62.0)):
+        assert wind_at(held, t) == wind_at(PRESCRIBED, middle)
+
+
 def test_the_centre_of_the_gas_travels_with_the_wind_of_the_middle_of_each_step(small_site):
     bell = {"mesh": {"wall_size": 4.0, "far_size": 4.0}, "transport": {"diffusion": 2.0}, "release_radius": 6.0}
     model = AdvectionDiffusion.from_options(
