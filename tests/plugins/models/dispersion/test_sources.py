@@ -68,6 +68,17 @@ def test_the_gas_is_rate_times_duration_to_the_fraction_of_a_step(make, start, e
     np.testing.assert_allclose(gas(leak, stepped(leak, guess(leak), 4)), 0.05 * seconds * unit, rtol=1e-10)
 
 
+def test_the_flux_corrected_scheme_counts_every_bit_of_a_leaks_gas(make):
+    corrected = {"transport": {"scheme": "fct", "outflow": "open"}, "wind_speed": 6.0, "wind_direction": 0.0}
+    leak, burst = make(**corrected, source=LEAK | {"start": 1.25}, release=[85.0, 0.0]), make(release=[85.0, 0.0])
+    members, gone = guess(leak), 0.0
+    for second in range(5):
+        step = leak.step_with_memory(members, None, float(second), None)
+        members, gone = step.members, gone + step.diagnostics["gas_gone"].values
+    assert (gone > 1.0).all() and members.min() >= 0.0
+    np.testing.assert_allclose(gas(leak, members) + gone, 0.05 * 3.75 * gas(burst, guess(burst)), rtol=1e-10)
+
+
 def test_every_member_has_its_own_rate_place_and_start(make):
     leak = make(source=LEAK, estimate=["release_x", "release_y", "rate", "leak_start"])
     members = guess(leak, 3)
