@@ -21,14 +21,17 @@ from dafw.core.space import Array, IntArray
 class ObservationOperator:
     """Base of all operators H. ``coordinates`` (m, d) are the places of the readings; NaN or None without a place.
 
-    ``diagnostics`` are what an observer reports about the cycle, recorded under ``observer``. Raises
-    ConfigurationError for a covariance that is neither (m,) nor (m, m) or whose diagonal is not above zero.
+    ``diagnostics`` are what an observer reports about the cycle, recorded under ``observer``. ``sensors`` (m) name the
+    sensor that takes each reading, the same one in every cycle; the readings of a sensor stand in the order in which it
+    takes them, at equal intervals. None: not told. Raises ConfigurationError for a covariance that is neither (m,) nor
+    (m, m) or whose diagonal is not above zero, and if there are not m sensors.
     """
 
     covariance: Array
     noise_covariance: Array | None = None
     coordinates: Array | None = None
     diagnostics: Diagnostics = field(default_factory=dict)
+    sensors: tuple[str, ...] | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "covariance", freeze(self.covariance))
@@ -46,6 +49,8 @@ class ObservationOperator:
                 f"coordinates of {self.size} readings must have the shape ({self.size}, d), "
                 f"got {self.coordinates.shape}"
             )
+        if self.sensors is not None and len(self.sensors) != self.size:
+            raise ConfigurationError(f"{self.size} readings must name {self.size} sensors, got {len(self.sensors)}")
 
     @property
     def size(self) -> int:
@@ -97,11 +102,15 @@ class Stacked(ObservationOperator):
 
 
 def stack(parts: tuple[ObservationOperator, ...]) -> ObservationOperator:
-    """Return one operator for all parts, in their order. Of diagnostics with the same name the first is kept."""
+    """Return one operator for all parts, in their order. Of diagnostics with the same name the first is kept.
+
+    Sensors are named after the number of their part: those of the second are ``1 drone 0``, ...
+    """
     coordinates = _stacked_coordinates(parts)
     covariance = block_diagonal([part.covariance for part in parts])
     noise = block_diagonal([part.noise for part in parts])
     diagnostics = {name: value for part in reversed(parts) for name, value in part.diagnostics.items()}
+    sensors = _stacked_sensors(parts)
     if all(isinstance(part, Selection) for part in parts):
         indices = np.concatenate([part.indices for part in parts if isinstance(part, Selection)])
         return Selection(
@@ -110,9 +119,15 @@ def stack(parts: tuple[ObservationOperator, ...]) -> ObservationOperator:
             noise_covariance=noise,
             coordinates=coordinates,
             diagnostics=diagnostics,
+            sensors=sensors,
         )
     return Stacked(
-        parts=parts, covariance=covariance, noise_covariance=noise, coordinates=coordinates, diagnostics=diagnostics
+        parts=parts,
+        covariance=covariance,
+        noise_covariance=noise,
+        coordinates=coordinates,
+        diagnostics=diagnostics,
+        sensors=sensors,
     )
 
 
@@ -129,6 +144,16 @@ def _stacked_coordinates(parts: tuple[ObservationOperator, ...]) -> Array | None
     nowhere = (np.full((part.size, placed[0].shape[1]), np.nan) for part in parts)
     given = (part.coordinates if part.size else None for part in parts)
     return np.concatenate([n if c is None else c for n, c in zip(nowhere, given, strict=True)])
+
+
+def _stacked_sensors(parts: tuple[ObservationOperator, ...]) -> tuple[str, ...] | None:
+    """Return the names of all readings' sensors; None if a part does not tell them."""
+    names: list[str] = []
+    for number, part in enumerate(parts):
+        if part.sensors is None and part.size:
+            return None
+        names += [f"{number} {sensor}" for sensor in part.sensors or ()]
+    return tuple(names)
 
 
 def block_diagonal(blocks: Sequence[Array]) -> Array:

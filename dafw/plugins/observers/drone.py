@@ -54,4 +54,5 @@ class Drone(Observer):
         """Return the readings of all vehicles on this leg."""
         points = [along(path, self.samples) for path in route.paths]
         joined = np.concatenate(points) if points else np.empty((0, 2))
-        return read_nodes(space, self.variable, joined, self.noise_sd, self.assumed_variance)
+        sensors = [f"drone {number}" for number, part in enumerate(points) for _ in part]
+        return read_nodes(space, self.variable, joined, sensors, self.noise_sd, self.assumed_variance)

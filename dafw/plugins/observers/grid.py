@@ -61,4 +61,5 @@ class Grid(Observer):
             covariance=np.full(len(entries), assumed),
             noise_covariance=np.full(len(entries), variance),
             coordinates=None if variable.coordinates is None else variable.coordinates[entries],
+            sensors=tuple(f"entry {entry}" for entry in entries.tolist()),
         )

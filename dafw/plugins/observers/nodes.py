@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from dafw.core.observation import Selection
@@ -9,15 +11,23 @@ from dafw.core.space import Array, StateSpace
 
 
 def read_nodes(
-    space: StateSpace, variable: str, points: Array, noise_sd: float, assumed_variance: float | None
+    space: StateSpace,
+    variable: str,
+    points: Array,
+    sensors: Sequence[str],
+    noise_sd: float,
+    assumed_variance: float | None,
 ) -> Selection:
     """Return H in {0, 1} for the nodes nearest to ``points`` (k, 2), each node once, in the order of the points.
+
+    ``sensors`` (k) name the sensor at each point; a node that several are nearest to is read by the first of them.
 
     The noise of the readings has the standard deviation ``noise_sd``. The filter is given ``assumed_variance``; if that
     is None, the variance of the noise.
     """
-    nodes = space[variable].nearest(points) if len(points) else np.empty(0, dtype=np.int64)
-    nodes = np.array(list(dict.fromkeys(nodes.tolist())), dtype=np.int64)
+    nearest = space[variable].nearest(points).tolist() if len(points) else []
+    first = dict(zip(reversed(nearest), reversed(sensors), strict=True))
+    nodes = np.array(list(dict.fromkeys(nearest)), dtype=np.int64)
     coordinates = space[variable].coordinates
     variance = noise_sd**2 if assumed_variance is None else assumed_variance
     return Selection(
@@ -25,4 +35,5 @@ def read_nodes(
         covariance=np.full(len(nodes), variance),
         noise_covariance=np.full(len(nodes), noise_sd**2),
         coordinates=np.empty((0, 2)) if coordinates is None or not len(nodes) else coordinates[nodes],
+        sensors=tuple(first[node] for node in nodes.tolist()),
     )

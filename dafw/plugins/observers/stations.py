@@ -52,4 +52,5 @@ class Stations(Observer):
         """Return the readings due in this step: all stations, or none."""
         due = is_due(t, self.every, route.dt)
         points = np.array(self.positions, dtype=np.float64).reshape(-1, 2) if due else np.empty((0, 2))
-        return read_nodes(space, self.variable, points, self.noise_sd, self.assumed_variance)
+        sensors = [f"station {number}" for number in range(len(points))]
+        return read_nodes(space, self.variable, points, sensors, self.noise_sd, self.assumed_variance)

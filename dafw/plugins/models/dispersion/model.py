@@ -3,7 +3,8 @@
 State: the concentration at the nodes of the mesh (relative to the released maximum), the wind speed (m/s), the wind
 direction (radians, the angle TOWARDS which the air moves, counter-clockwise from east). Algorithm 1 of Gioia et al.
 (2024), doi:10.1109/SDF63218.2024.10773899, gives the order of a step: noise on the concentration, cut-off of spurious
-values, transport. The wind does not evolve; only the assimilation changes it.
+values, transport. Speed and direction of the state are those at t = 0 (``wind_change`` says how the wind changes in
+time), so they do not evolve; only the assimilation changes them.
 
 This module holds the options, so it is imported when a configuration is checked, and must be light. What computes is
 imported where it is first used.
@@ -32,8 +33,10 @@ from dafw.plugins.models.dispersion.mesh.partition import Partition, Undivided
 from dafw.plugins.models.dispersion.mesh.tagged import TaggedMesh
 from dafw.plugins.models.dispersion.plausible import largest_concentration
 from dafw.plugins.models.dispersion.site.options import SiteOptions
+from dafw.plugins.models.dispersion.sources import SourceOptions, largest_scale, released, sources, supply
 from dafw.plugins.models.dispersion.transport.options import TransportOptions, require_one_process
 from dafw.plugins.models.dispersion.unknowns import unknowns
+from dafw.plugins.models.dispersion.wind_change import WindChange, WindChangeOptions
 
 if TYPE_CHECKING:
     from dafw.plugins.models.dispersion.site.site import Site
@@ -48,18 +51,22 @@ class AdvectionDiffusion(Model):
     mesh: MeshOptions = option(MeshOptions, "the triangles")
     transport: TransportOptions = option(TransportOptions, "how the gas is carried")
     dt: float = option(1.0, "time step in seconds", above=0.0)
-    release: list[float] = option([0.0, 0.0], "place of the release, [x, y] in metres")
+    release: list[float] = option([0.0, 0.0], "place of the (first) release, [x, y] in metres")
     release_radius: float = option(30.0, "standard deviation of the released bell in metres", above=0.0)
+    source: SourceOptions = option(SourceOptions, "whether the gas bursts out or leaks, how much, from where else")
     wind_speed: float = option(5.0, "first guess of the wind speed: mean, m/s", minimum=0.0)
     wind_speed_sd: float = option(0.0, "first guess of the wind speed: standard deviation, m/s (Weibull)", minimum=0.0)
     wind_direction: float = option(np.pi, "first guess of the wind direction: mean, radians, towards which it blows")
     wind_direction_sd: float = option(
         0.0, "first guess of the wind direction: standard deviation, radians", minimum=0.0
     )
+    wind_change: WindChangeOptions = option(WindChangeOptions, "how the wind changes in time")
     noise: float = option(0.0, "standard deviation of the noise before a step, relative to the value", minimum=0.0)
     cutoff: float = option(1e-6, "with noise: concentrations up to this are set to zero before a step")
     estimate: list[str] = option(
-        [], "what else is unknown and part of the state: diffusion, release_x, release_y, amount"
+        [],
+        "what else is unknown and part of the state: diffusion, release_x, release_y; of a burst amount; of a leak "
+        "rate, leak_start; of a second source release_2_x, rate_2, ...",
     )
     priors: dict[str, Any] = option({}, "priors of unknowns, by their name, in place of the usual ones")
     certain: bool = option(False, "every unknown has the value that the options give: for truths and free runs")
@@ -85,9 +92,11 @@ class AdvectionDiffusion(Model):
         return {"site": site, "mesh": mesh, **cloud, "wind_speed_sd": 0.5, "wind_direction_sd": 0.5}
 
     def __post_init__(self) -> None:
-        self._unknown = unknowns(self)
         if len(self.release) != 2:
             raise ConfigurationError(f"the release must be one place [x, y] in metres, got {self.release}")
+        self._sources = sources(self.release, self.release_radius, self.source)
+        self._wind_change = WindChange(self.wind_change)
+        self._unknown = unknowns(self)
 
     @cached_property
     def place(self) -> Site:
@@ -162,8 +171,7 @@ class AdvectionDiffusion(Model):
     def space(self) -> StateSpace:  # type: ignore[override]  # made when first asked for
         """Concentration, wind speed, wind direction, and whatever else is estimated."""
         nodes = self._topology[0]
-        # An unknown amount may be many times the one that the options state.
-        largest = largest_concentration(self.noise) * (100.0 if "amount" in self.estimate else 1.0)
+        largest = largest_concentration(self.noise) * largest_scale(self._sources, self.estimate)
         return StateSpace(
             [
                 Variable("concentration", len(nodes), NONNEGATIVE, "1", nodes, "", largest),
@@ -176,11 +184,13 @@ class AdvectionDiffusion(Model):
         """The rectangle, the buildings and the triangles."""
         site = self.place
         rings = tuple(np.asarray(building.exterior.coords)[:-1] for building in site.buildings)
-        x, y = self.release
-        domain = Domain(site.bounds, rings, site.names, self._topology[1], {"release": (x, y)})
-        place = np.array(self.release)
-        if not domain.is_free(place, place):
-            raise ConfigurationError(f"{self.label}: the release {self.release} lies in a building or outside the site")
+        places = {"release" if one.number == 1 else f"release_{one.number}": one.place for one in self._sources}
+        domain = Domain(site.bounds, rings, site.names, self._topology[1], places)
+        for place in places.values():
+            if not domain.is_free(np.array(place), np.array(place)):
+                raise ConfigurationError(
+                    f"{self.label}: the release {list(place)} lies in a building or outside the site"
+                )
         return domain
 
     @cached_property
@@ -196,7 +206,7 @@ class AdvectionDiffusion(Model):
         return [*self.place.report_lines(), size + divided]
 
     def initial(self, n_members: int, rng: MemberStreams) -> Array:
-        """Return released bells, with the wind and whatever else is estimated drawn from the first guess."""
+        """Return the gas of the bursts, with the wind and whatever else is estimated drawn from the first guess."""
         nothing = np.zeros(self.space["concentration"].size)
 
         def one(generator: np.random.Generator) -> Array:
@@ -211,20 +221,14 @@ class AdvectionDiffusion(Model):
         return np.sum([one.prior.log_density(state[one.name][:, 0]) for one in self._unknown], axis=0)
 
     def settled(self, members: Array) -> Array:
-        """Return the members (N, n) with the bells that follow from place and amount of their releases."""
+        """Return the members (N, n) with the gas that the bursts of their releases leave at t = 0."""
         settled = members.copy()
         state = self.space.unpack(settled)
-        nodes = self._topology[0]
-        x = state["release_x"] if "release_x" in state else self.release[0]
-        y = state["release_y"] if "release_y" in state else self.release[1]
-        off = (nodes[:, 0] - x) ** 2 + (nodes[:, 1] - y) ** 2
-        state["concentration"][:] = np.exp(-off / (2.0 * self.release_radius**2))
-        if "amount" in state:
-            state["concentration"][:] *= state["amount"]
+        state["concentration"][:] = released(self._sources, self._topology[0], state)
         return settled
 
     def step_with_memory(self, members: Array, memory: Memory | None, t: float, rng: MemberStreams) -> Step:
-        """Return the members a step later: noise, cut-off, wind, transport."""
+        """Return the members a step later: noise, cut-off, wind, transport with what the leaks add."""
         stepped = members.copy()
         state = self.space.unpack(stepped)
         concentration = state["concentration"]
@@ -234,20 +238,25 @@ class AdvectionDiffusion(Model):
         if self._communicator is not None:
             # Ranks on other kinds of processors may have rounded differently; all continue with the numbers of rank 0.
             self._communicator.Bcast(stepped)
-        winds, memory, diagnostics = self.winds(state["wind_speed"][:, 0], state["wind_direction"][:, 0], memory, t)
+        speed, direction = state["wind_speed"][:, 0], state["wind_direction"][:, 0]
+        speed, direction = self._wind_change.wind(t + 0.5 * self.dt, speed, direction, state)
+        winds, memory, diagnostics = self.winds(speed, direction, memory, t)
         diffusion = (
             state["diffusion"][:, 0] if "diffusion" in state else np.full(len(members), self.transport.diffusion)
         )
+        supplied = supply(self._sources, self._topology[0], state, t, self.dt)
+        rates = None if supplied is None else np.broadcast_to(supplied, concentration.shape)
         keeps_account = self.transport.scheme == "fct"
         gas, gone = np.zeros((2, len(members)))
         for member, wind in enumerate(winds):
             with about_member(member):
                 system: Any = self._system(member, wind, diffusion[member])
+                rate = None if rates is None else self._nodes.local(rates[member])
                 if keeps_account:
-                    concentration[member], gone[member] = system.balanced_step(concentration[member])
+                    concentration[member], gone[member] = system.balanced_step(concentration[member], rate)
                     gas[member] = system.gas(concentration[member])
                 else:
-                    local = system.step(self._nodes.local(concentration[member]))
+                    local = system.step(self._nodes.local(concentration[member]), rate)
                     concentration[member] = self._nodes.gather(local)
         # Without flux correction there may be values below zero; the filter's retraction puts that right.
         if keeps_account:

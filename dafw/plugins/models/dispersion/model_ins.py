@@ -6,7 +6,8 @@ than the thresholds of Algorithm 1, Gioia et al. (2024), doi:10.1109/SDF63218.20
     |I - I_INS| >= tr_I |I|   or   |d - d_INS| >= tr_d |d|         differences of directions wrapped to [-pi, pi)
 
 Otherwise the wind of the last solve carries the gas. A solve starts from the member's last wind. That wind is in the
-memory of the run, so results do not depend on what else ran in the process.
+memory of the run, so results do not depend on what else ran in the process. A wind that changes in time
+(``wind_change``) is solved in every step.
 
 Like model.py this module must be light.
 """
@@ -108,11 +109,16 @@ class AdvectionDiffusionINS(AdvectionDiffusion):
     def due(self, speed: Array, direction: Array, memory: Memory) -> np.ndarray:
         """Return for which members the wind must be solved again (N,), bool.
 
+        A wind that changes in time is solved whenever it differs, without thresholds: otherwise it would change in
+        jumps.
+
         Args:
             speed: (N,) wind speed in m/s.
             direction: (N,) towards which the air moves, in radians.
             memory: has the parameters of the last solves.
         """
+        if self._wind_change.changes:
+            return (speed != memory["speed"]) | (direction != memory["direction"])
         turned = np.abs(np.mod(direction - memory["direction"] + np.pi, 2.0 * np.pi) - np.pi)
         changed = np.abs(speed - memory["speed"])
         within = (changed < self.speed_threshold * np.abs(speed)) & (

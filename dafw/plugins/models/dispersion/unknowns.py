@@ -7,7 +7,7 @@ is not estimated stays fixed at its value, which may be wrong.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
@@ -15,15 +15,18 @@ from dafw.core.errors import ConfigurationError
 from dafw.core.priors import Prior
 from dafw.core.space import ANGLE, FIELD, NONNEGATIVE, POSITIVE, Kind
 from dafw.plugins.models.dispersion.plausible import strongest_wind
+from dafw.plugins.models.dispersion.sources import SourceOptions, sources
+from dafw.plugins.models.dispersion.wind_change import WindChange, WindChangeOptions
 
 
 @dataclass(frozen=True)
 class Unknown:
-    """One number of the state, what is believed of it at first, and the largest value that is plausible."""
+    """One number of the state: its ``value`` in the options, what is believed of it at first, what is plausible."""
 
     name: str
     kind: Kind
     units: str
+    value: float
     prior: Prior
     plausible: float = float("inf")
 
@@ -35,8 +38,10 @@ class Guess(Protocol):
     wind_speed_sd: float
     wind_direction: float
     wind_direction_sd: float
+    wind_change: WindChangeOptions
     release: list[float]
     release_radius: float
+    source: SourceOptions
     transport: Any
     estimate: list[str]
     priors: dict[str, Any]
@@ -47,13 +52,38 @@ def _about(name: str, mean: float, sd: float) -> Prior:
     return Prior(name, {"mean": mean, "sd": sd}) if sd > 0.0 else Prior("point", {"mean": mean})
 
 
-OTHERS: dict[str, tuple[Kind, str, Callable[[Guess], Prior]]] = {
-    "diffusion": (POSITIVE, "m2 s-1", lambda guess: _about("lognormal", guess.transport.diffusion, 1.0)),
-    "release_x": (FIELD, "m", lambda guess: _about("normal", guess.release[0], guess.release_radius)),
-    "release_y": (FIELD, "m", lambda guess: _about("normal", guess.release[1], guess.release_radius)),
-    "amount": (POSITIVE, "1", lambda guess: _about("lognormal", 1.0, 0.5)),
-}
-"""What can be estimated besides the wind: its kind, its units, and its prior where a study gives none."""
+def _others(guess: Guess) -> dict[str, tuple[Kind, str, float, Callable[[float], Prior]]]:
+    """Return what can be estimated besides the wind, in the order of the state.
+
+    Each has its kind, units, the value of the options, and what makes its prior from that where a study gives none.
+    """
+    radius = guess.release_radius
+    usual: dict[str, tuple[Kind, str, Callable[[float], Prior]]] = {
+        "release_x": (FIELD, "m", lambda x: _about("normal", x, radius)),
+        "release_y": (FIELD, "m", lambda y: _about("normal", y, radius)),
+        "amount": (POSITIVE, "1", lambda amount: _about("lognormal", amount, 0.5)),
+        "rate": (POSITIVE, "s-1", lambda rate: _about("lognormal", rate, 1.0)),
+        "leak_start": (FIELD, "s", lambda start: Prior("uniform", {"low": 0.0, "high": max(60.0, 2.0 * start)})),
+    }
+    listed = {
+        "diffusion": (POSITIVE, "m2 s-1", guess.transport.diffusion, lambda value: _about("lognormal", value, 1.0))
+    }
+    for source in sources(guess.release, guess.release_radius, guess.source):
+        for quantity, name in source.names.items():
+            kind, units, prior = usual[quantity]
+            listed[name] = (kind, units, source.values[quantity], prior)
+    return listed
+
+
+def _require_known(guess: Guess, accepted: Sequence[str]) -> None:
+    """Raise ConfigurationError if ``estimate`` has a name that is not accepted, or one twice."""
+    for name in guess.estimate:
+        if name not in accepted:
+            of_a = {"rate": "leak", "leak_start": "leak", "amount": "burst"}.get(name)
+            hint = f"; it belongs to a {of_a}: source.kind={of_a}" if of_a else ""
+            raise ConfigurationError(f"estimate: '{name}' cannot be estimated (accepted: {', '.join(accepted)}){hint}")
+    if len(set(guess.estimate)) < len(guess.estimate):
+        raise ConfigurationError(f"estimate: a name stands twice in {guess.estimate}")
 
 
 def unknowns(guess: Guess) -> list[Unknown]:
@@ -64,21 +94,27 @@ def unknowns(guess: Guess) -> list[Unknown]:
             f"wind_speed_sd must be 0 or between a thousandth of wind_speed and a thousand times it (a Weibull "
             f"distribution has that mean), got {sd:g} with a mean of {mean:g} m/s"
         )
-    names = ["wind_speed", "wind_direction", *guess.estimate]
-    if wrong := [name for name in guess.estimate if name not in OTHERS]:
-        raise ConfigurationError(f"estimate: '{wrong[0]}' cannot be estimated (accepted: {', '.join(OTHERS)})")
-    if len(set(names)) < len(names):
-        raise ConfigurationError(f"estimate: a name stands twice in {guess.estimate}")
+    others = _others(guess)
+    _require_known(guess, list(others))
+    if "diffusion" in guess.estimate and guess.transport.scheme == "supg":
+        raise ConfigurationError("estimate: the scheme 'supg' is made for one diffusion; choose another scheme")
+    direction, change = guess.wind_direction, WindChange(guess.wind_change)
+    found = [
+        Unknown("wind_speed", NONNEGATIVE, "m s-1", mean, _about("weibull", mean, sd), strongest_wind(mean, sd)),
+        Unknown("wind_direction", ANGLE, "rad", direction, _about("angle", direction, guess.wind_direction_sd)),
+    ]
+    for name, (kind, units, value, prior) in others.items():
+        if name in guess.estimate:
+            found.append(Unknown(name, kind, units, value, prior(value)))
+    for names, units, spread in (
+        (change.speed_names, "1", guess.wind_change.speed_sd),
+        (change.direction_names, "rad", guess.wind_change.direction_sd),
+    ):
+        found += [Unknown(name, FIELD, units, 0.0, _about("normal", 0.0, spread)) for name in names]
+    names = [one.name for one in found]
     if wrong := [name for name in guess.priors if name not in names]:
         raise ConfigurationError(f"priors: '{wrong[0]}' is not estimated (estimated: {', '.join(names)})")
-    if "diffusion" in names and guess.transport.scheme == "supg":
-        raise ConfigurationError("estimate: the scheme 'supg' is made for one diffusion; choose another scheme")
-    found = [
-        Unknown("wind_speed", NONNEGATIVE, "m s-1", _about("weibull", mean, sd), strongest_wind(mean, sd)),
-        Unknown("wind_direction", ANGLE, "rad", _about("angle", guess.wind_direction, guess.wind_direction_sd)),
-        *(Unknown(name, kind, units, prior(guess)) for name, (kind, units, prior) in OTHERS.items() if name in names),
-    ]
     if guess.certain:
-        return [replace(one, prior=_about("point", one.prior["mean"], 0.0)) for one in found]
+        return [replace(one, prior=_about("point", one.value, 0.0)) for one in found]
     priors = {name: Prior.of(prior, f"priors: {name}") for name, prior in guess.priors.items()}
     return [replace(one, prior=priors.get(one.name, one.prior)) for one in found]

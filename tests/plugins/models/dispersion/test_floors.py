@@ -21,6 +21,8 @@ ORDER = (
     "reduced_wind",
     "wind_solvers",
     "plausible",
+    "sources",
+    "wind_change",
     "unknowns",
     "model",
 )
