@@ -57,7 +57,8 @@ class Mover(Model):
         anomalies = self.space.difference(self.members, mean)
         covariance = anomalies.T @ anomalies / (len(anomalies) - 1) + 1e-6 * np.eye(self.space.size)
         offset = self.space.difference(members, mean)
-        return -0.5 * np.einsum("ij,ij->i", offset, np.linalg.solve(covariance, offset.T).T)
+        misfit = np.einsum("ij,ij->i", offset, np.linalg.solve(covariance, offset.T).T)
+        return np.asarray(-0.5 * (misfit + np.linalg.slogdet(2.0 * np.pi * covariance)[1]))
 
     def initial_memory(self, members: Array) -> Memory | None:
         """Return the drift (N,) of each member, which depends on its state."""

@@ -52,9 +52,10 @@ class Model(Plugin):
         return members
 
     def log_first_guess(self, members: Array) -> Array:
-        """Return the log density (N,) of the first guess at members (N, n) at the start, up to a constant.
+        """Return the log density (N,) of the first guess at members (N, n) at the start.
 
-        It is the density of the numbers that the fields are recomputed from; minus infinity for impossible members.
+        It is the density of the numbers that the fields are recomputed from. It integrates to one, since importance
+        sampling mixes it with other densities. Impossible members have minus infinity.
         Filters that weight members need it. Raises ConfigurationError unless a model defines it.
         """
         raise ConfigurationError(

@@ -49,6 +49,8 @@ from dafw.plugins.filters.likelihood import Likelihood
 
 HOPELESS = 30.0
 """A proposal whose log prior is this much below the best sample's has no weight and is not run."""
+EQUAL = 0.9
+"""Effective sample size, per sample, above which weights are as good as equal."""
 NEGLIGIBLE = 1e-4
 """Weight that the samples which are given up may have together; half an archive is kept in any case."""
 MIDDLE = 0.5
@@ -91,7 +93,9 @@ class AMIS(Filter):
         while True:
             log_base, fit = samples.log_prior - samples.log_proposal, self.likelihood.averaged(samples.fit)
             weights = normalized(log_base + fit)
-            if effective_size(weights) >= self.enough * size or cost * (batches + 1) > self.steps:
+            # Weights that are all but equal are not degenerate, however few they are.
+            enough = min(self.enough * size, EQUAL * len(samples))
+            if effective_size(weights) >= enough or cost * (batches + 1) > self.steps:
                 break
             # Half of the samples have to count: a few good ones among bad ones say nothing of the covariance.
             leading = tempered(log_base, fit, min(float(size), 0.5 * len(samples)))

@@ -52,26 +52,44 @@ class Likelihood:
 
         predicted    (N, m) what the members predict
         values       (m,) the readings
-        covariance   (m,) or (m, m) R; of a full matrix only the diagonal is used
-        """
-        from scipy.special import gammaln, log_ndtr, stdtr
+        covariance   (m,) or (m, m) R; with a full matrix the misfits are decorrelated before they are judged
 
-        variance = covariance if covariance.ndim == 1 else np.diag(covariance)
+        Raises ConfigurationError for a detection limit with a full R.
+        """
+        from scipy.special import gammaln
+
+        missed = values - predicted
         largest = np.maximum(np.abs(predicted), np.abs(values))
         absolute, relative = self.sizes.T[:, :, np.newaxis, np.newaxis]
-        scale = np.sqrt(variance + absolute**2 + (relative * largest) ** 2)  # (S, N, m)
-        misfit = (values - predicted) / scale
+        of_model = absolute**2 + (relative * largest) ** 2  # (S, N, m)
+        if covariance.ndim == 1:
+            scale = np.sqrt(covariance + of_model)
+            misfit = missed / scale
+        else:
+            root = np.linalg.cholesky(covariance + of_model[..., np.newaxis] * np.eye(len(values)))
+            scale = np.diagonal(root, axis1=-2, axis2=-1)
+            whole = np.broadcast_to(missed[..., np.newaxis], (*of_model.shape, 1))
+            misfit = np.linalg.solve(root, whole)[..., 0]
         degrees = self.degrees_of_freedom
         if degrees is None:
             density = -0.5 * misfit**2 - np.log(scale) - 0.5 * np.log(2.0 * np.pi)
         else:
             constant = gammaln(0.5 * (degrees + 1.0)) - gammaln(0.5 * degrees) - 0.5 * np.log(degrees * np.pi)
             density = constant - np.log(scale) - 0.5 * (degrees + 1.0) * np.log1p(misfit**2 / degrees)
-        if self.detection_limit is not None:
-            below = (self.detection_limit - predicted) / scale
-            chance = log_ndtr(below) if degrees is None else np.log(np.maximum(stdtr(degrees, below), 1e-300))
-            density = np.where(values < self.detection_limit, chance, density)
+        below = values < (-np.inf if self.detection_limit is None else self.detection_limit)
+        if self.detection_limit is not None and below.any():
+            if covariance.ndim == 2:
+                raise ConfigurationError("likelihood.detection_limit needs readings whose errors are not correlated")
+            density = np.where(below, self._log_chance(self.detection_limit - predicted, scale), density)
         return np.asarray(self.independence * density.sum(axis=2).T)
+
+    def _log_chance(self, room: Array, scale: Array) -> Array:
+        """Return the log probability (S, N, m) that an error of the given scale is below ``room`` (N, m)."""
+        from scipy.special import log_ndtr, stdtr
+
+        if self.degrees_of_freedom is None:
+            return np.asarray(log_ndtr(room / scale))
+        return np.log(np.maximum(stdtr(self.degrees_of_freedom, room / scale), np.finfo(float).tiny))
 
     def averaged(self, log_density: Array) -> Array:
         """Return the log likelihood (N,) averaged over the sizes, of sums (N, S) of ``log_density`` over readings."""
