@@ -46,7 +46,11 @@ class Edges:
         found: np.ndarray = self._gather @ np.concatenate([at_first, at_second])
         return found
 
-    def range(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the lowest and the highest value (n,) in every node and its neighbours."""
-        around = values[self._columns]
-        return np.minimum.reduceat(around, self._row_starts), np.maximum.reduceat(around, self._row_starts)
+    def range(self, *values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the lowest and the highest of all values in every node and its neighbours, (n,) each.
+
+        Args:
+            values: (n,) each.
+        """
+        around = [np.minimum.reduce(values)[self._columns], np.maximum.reduce(values)[self._columns]]
+        return np.minimum.reduceat(around[0], self._row_starts), np.maximum.reduceat(around[1], self._row_starts)
