@@ -11,9 +11,9 @@ fluxes are computed once, from a solution of high order that is already known::
 1. Galerkin's step from c to g, and one of low order, which is never below zero but too wide:
    m_i (u_i - c_i) / dt + sum_j l_ij u_j = m_i f_i.
 2. m_i (g_i - u_i) / dt is a sum of fluxes f_ij = -f_ji from the nodes j to i, with v = g - c - dt f and e = g - u:
-   f_ij = m_ij (v_i - v_j) / dt + d_ij (g_i - g_j) - (l_ij e_j - l_ji e_i).
+   f_ij = m_ij (v_i - v_j) / dt + d_ij (g_i - g_j) - (l_ij e_j - l_ji e_i), and of the flux -o_i e_i from outside.
 3. They are limited (limiter.py): no node leaves the range that u and c + dt f have in it and in its neighbours.
-4. m_i (c'_i - u_i) / dt = sum_j f_ij, limited.
+4. m_i (c'_i - u_i) / dt is the sum of the limited fluxes.
 
 The columns of l add up to o exactly, and fluxes take from one node what they give to another. So the gas balance
 holds to round-off, whatever the divergence of the wind. docs/physics.md says more.
@@ -42,7 +42,7 @@ class FluxCorrectedSystem:
         self._mass_between = mass[matrices.edges.there]
         self._galerkin = TransportSystem(matrices)
         self._solve_low: Callable[[np.ndarray], np.ndarray]
-        self._there = self._back = self._diffusion = self._taken = np.zeros(0)
+        self._there = self._back = self._diffusion = self._leaving = self._taken = np.zeros(0)
 
     def change(self, added: np.ndarray, before: Any) -> None:
         """Set the system to that of another wind; the arguments are those of ``TransportSystem.change``."""
@@ -52,19 +52,19 @@ class FluxCorrectedSystem:
         there, back = operator[edges.there], operator[edges.back]
         self._diffusion = np.maximum(np.maximum(there, back), 0.0)
         self._there, self._back = there, back = there - self._diffusion, back - self._diffusion
-        taken = np.zeros(matrices.nodes)
+        self._leaving = np.zeros(matrices.nodes)
         if matrices.options.outflow == "open":
-            taken[matrices.outer] = np.maximum(matrices.outward(added), 0.0)
+            self._leaving[matrices.outer] = np.maximum(matrices.outward(added), 0.0)
         values = np.zeros(operator.size)
         values[edges.there], values[edges.back] = there, back
-        values[matrices.diagonal] = self._mass / matrices.dt + taken - edges.sums(back, there)
+        values[matrices.diagonal] = self._mass / matrices.dt + self._leaving - edges.sums(back, there)
         values[matrices.fixed_entries] = 0.0
         values[matrices.fixed_diagonal] = 1.0
         self._solve_low = factorised(matrices.sparsity, values)
         # Nodes where the concentration is zero take what their neighbours lose to them.
         fixed = np.zeros(matrices.nodes, dtype=bool)
         fixed[matrices.fixed] = True
-        self._taken = taken - edges.sums(back * fixed[edges.second], there * fixed[edges.first])
+        self._taken = self._leaving - edges.sums(back * fixed[edges.second], there * fixed[edges.first])
 
     def step(self, concentration: np.ndarray, source: np.ndarray | None = None) -> np.ndarray:
         """Return the concentration (nodes,) one time step later; arguments and errors are as for ``balanced_step``."""
@@ -93,14 +93,19 @@ class FluxCorrectedSystem:
         given[matrices.fixed] = 0.0
         low = self._solve_low(given)
         lowest, highest = edges.range(low, supplied)
-        flux = limited(
-            edges, self._fluxes(high, low, supplied), mass * (lowest - low), mass * (highest - low), matrices.fixed
+        flux, outside = limited(
+            edges,
+            self._fluxes(high, low, supplied),
+            matrices.dt * self._leaving * (low - high),
+            mass * (lowest - low),
+            mass * (highest - low),
+            matrices.fixed,
         )
         received = edges.sums(flux, -flux)
-        gone = matrices.dt * (self._taken @ low) + (mass * supplied + received)[matrices.fixed].sum()
+        gone = matrices.dt * (self._taken @ low) - outside.sum() + (mass * supplied + received)[matrices.fixed].sum()
         received[matrices.fixed] = 0.0
         # The limiter keeps the result in this range; the last bit of its sums may not.
-        return np.clip(low + received / mass, lowest, highest), float(gone)
+        return np.clip(low + (received + outside) / mass, lowest, highest), float(gone)
 
     def _fluxes(self, high: np.ndarray, low: np.ndarray, supplied: np.ndarray) -> np.ndarray:
         """Return the fluxes (e,) times the time step from the second node of every edge to the first.

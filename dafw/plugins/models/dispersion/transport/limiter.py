@@ -16,18 +16,22 @@ import numpy as np
 from dafw.plugins.models.dispersion.transport.edges import Edges
 
 
-def limited(edges: Edges, flux: np.ndarray, down: np.ndarray, up: np.ndarray, given: np.ndarray) -> np.ndarray:
-    """Return the limited fluxes (e,).
+def limited(
+    edges: Edges, flux: np.ndarray, outside: np.ndarray, down: np.ndarray, up: np.ndarray, given: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the limited fluxes along the edges (e,), and those through the boundary (n,).
 
     Args:
         edges: of the mesh.
         flux: (e,) flux into the first node of every edge, out of the second.
+        outside: (n,) flux into every node through the boundary.
         down: (n,) the lowest sum of fluxes that a node may receive, zero or less.
         up: (n,) the highest one, zero or more.
         given: indices of nodes that keep their values whatever flows in.
     """
     positive, negative = np.maximum(flux, 0.0), np.minimum(flux, 0.0)
-    rise, fall = edges.sums(positive, -negative), edges.sums(negative, -positive)
+    entering, leaving = np.maximum(outside, 0.0), np.minimum(outside, 0.0)
+    rise, fall = edges.sums(positive, -negative) + entering, edges.sums(negative, -positive) + leaving
     may_rise, may_fall = np.ones(up.size), np.ones(up.size)
     np.divide(up, rise, out=may_rise, where=rise > up)
     np.divide(down, fall, out=may_fall, where=fall < down)
@@ -35,4 +39,4 @@ def limited(edges: Edges, flux: np.ndarray, down: np.ndarray, up: np.ndarray, gi
     first, second = edges.first, edges.second
     rising = positive * np.minimum(may_rise[first], may_fall[second])
     falling = negative * np.minimum(may_fall[first], may_rise[second])
-    return rising + falling
+    return rising + falling, entering * may_rise + leaving * may_fall
