@@ -1,7 +1,7 @@
 """Flux-corrected transport on the rotation of a slotted cylinder, a cone and a hump. See docs/physics.md.
 
-LeVeque 1996, doi:10.1137/0733033; Kuzmin 2009, doi:10.1016/j.jcp.2008.12.011, has it on the same mesh with the same time
-step: one turn about the middle of the unit square, 128 x 128 squares, dt = 0.001, pure advection.
+LeVeque 1996, doi:10.1137/0733033: one turn about the middle of the unit square, 128 x 128 squares, dt = 0.001, pure
+advection, as in Kuzmin 2009, doi:10.1016/j.jcp.2008.12.011.
 """
 
 from __future__ import annotations
@@ -43,10 +43,7 @@ def rotation(short: bool) -> Measurement:
         cloud, lowest, highest = bodies(*places.T), 0.0, 0.0
         begun = time.process_time()
         for _ in range(steps):
-            if scheme == "low order":
-                cloud = system._solve_low(mass / dt * cloud)
-            else:
-                cloud = system.step(cloud)
+            cloud = system._solve_low(mass / dt * cloud) if scheme == "low order" else system.step(cloud)
             lowest, highest = min(lowest, cloud.min()), max(highest, cloud.max())
         seconds = time.process_time() - begun
         found = {"lowest": lowest, "highest": highest, "ms_per_step": 1e3 * seconds / steps}

@@ -35,12 +35,17 @@ from dafw.plugins.models.dispersion.transport.system import TransportSystem
 class FluxCorrectedSystem:
     """The systems of a step in one wind, Galerkin's and that of low order; ``Transport.system`` makes it."""
 
-    def __init__(self, matrices: TransportMatrices):
-        self._matrices = matrices
+    def __init__(self, matrices: TransportMatrices, galerkin: TransportSystem):
+        """Prepare the system.
+
+        Args:
+            matrices: those of the transport.
+            galerkin: the system of Galerkin's step, which nothing else uses.
+        """
+        self._matrices, self._galerkin = matrices, galerkin
         mass = matrices.before.data * matrices.dt
         self._mass: np.ndarray = np.add.reduceat(mass, matrices.row_starts)
         self._mass_between = mass[matrices.edges.there]
-        self._galerkin = TransportSystem(matrices)
         self._solve_low: Callable[[np.ndarray], np.ndarray]
         self._there = self._back = self._diffusion = self._leaving = self._taken = np.zeros(0)
 

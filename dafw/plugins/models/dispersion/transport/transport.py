@@ -145,7 +145,10 @@ class Transport:
         return self.matrices.assemble(self._advection)
 
     def _system(self, added: np.ndarray, before: Any, reuse: System | None) -> System:
-        kind = FluxCorrectedSystem if self.matrices.options.scheme == "fct" else TransportSystem
-        system: System = reuse or kind(self.matrices)
+        system = reuse or self._new_system()
         system.change(added, before)
         return system
+
+    def _new_system(self) -> System:
+        galerkin = TransportSystem(self.matrices)
+        return FluxCorrectedSystem(self.matrices, galerkin) if self.matrices.options.scheme == "fct" else galerkin
