@@ -1,4 +1,4 @@
-"""The benchmarks of the wind run; the drag of the published flow comes out, on a coarse mesh, as far as that can."""
+"""The benchmarks of wind and transport run; the drag of the published flow comes out, as far as a coarse mesh can."""
 
 import json
 import subprocess
@@ -18,6 +18,8 @@ NAMES = [
     "wind.reduced_error_p95",
     "ad.step_over_scratch",
     "ad.two_precisions",
+    "ad.fct_over_galerkin",
+    "transport.rotation",
     "wind.cylinder_drag_error",
     "wind.proportional_share_reduced",
     "wind.proportional_share_accelerated",
@@ -46,6 +48,12 @@ def test_all_of_them_run(results):
 
 def test_a_step_is_the_same_as_from_scratch(results):
     assert results["ad.step_over_scratch"]["detail"]["largest_difference"] < 1e-8
+
+
+def test_rotating_bodies_stay_in_range_with_flux_correction(results):
+    found = results["transport.rotation"]["detail"]
+    assert found["fct"]["lowest"] == 0.0 and found["fct"]["highest"] <= 1.0 < found["galerkin"]["highest"]
+    assert found["fct"]["L1, backward Euler"] < 0.5 * found["low order"]["L1, backward Euler"]
 
 
 def test_drag_lift_and_pressure_difference_of_a_cylinder(results):

@@ -33,8 +33,11 @@ class Edges:
         edges = np.arange(self.there.size)
         count = edges.size
         where = (np.concatenate([self.first, self.second]), np.concatenate([edges, edges + count]))
-        self._columns, self._row_starts = columns, sparsity.indptr[:-1].astype(np.intp)
         self._gather = csr_matrix((np.ones(2 * count), where), shape=(size, 2 * count))
+        # (k, nodes) every node and its neighbours, filled up with itself: quicker than reduceat on rows of few entries.
+        place = np.arange(rows.size) - sparsity.indptr[rows]
+        self._around = np.tile(np.arange(size), (int(place.max()) + 1, 1))
+        self._around[place, rows] = columns
 
     def sums(self, at_first: np.ndarray, at_second: np.ndarray) -> np.ndarray:
         """Return, for every node (n,) or (n, k), the sum over its edges of what each has for this end.
@@ -46,7 +49,11 @@ class Edges:
         found: np.ndarray = self._gather @ np.concatenate([at_first, at_second])
         return found
 
-    def range(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the lowest and the highest value (n,) in every node and its neighbours."""
-        around = values[self._columns]
-        return np.minimum.reduceat(around, self._row_starts), np.maximum.reduceat(around, self._row_starts)
+    def range(self, *values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the lowest and the highest of all values in every node and its neighbours, (n,) each.
+
+        Args:
+            values: (n,) each.
+        """
+        lowest, highest = np.minimum.reduce(values), np.maximum.reduce(values)
+        return lowest[self._around].min(axis=0), highest[self._around].max(axis=0)

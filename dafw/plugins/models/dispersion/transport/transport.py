@@ -94,7 +94,7 @@ class Transport:
         function.x.array.reshape(-1, 2)[:] = intensity * np.array([np.cos(direction), np.sin(direction)])
         return function
 
-    def system(self, velocity: Any, reuse: Any = None, *, diffusion: float | None = None) -> System:
+    def system(self, velocity: Any, reuse: System | None = None, *, diffusion: float | None = None) -> System:
         """Return the system of a step in one wind.
 
         Args:
@@ -111,7 +111,9 @@ class Transport:
         before = matrices.sparsity.csr(matrices.before.data + advected_mass)
         return self._system(self._without_inflow(advection) + advected_mass, before, reuse)
 
-    def system_of(self, advection: np.ndarray, reuse: Any = None, *, diffusion: float | None = None) -> System:
+    def system_of(
+        self, advection: np.ndarray, reuse: System | None = None, *, diffusion: float | None = None
+    ) -> System:
         """Return the system of a step in one wind, for Galerkin's scheme and for flux-corrected transport.
 
         Args:
@@ -119,15 +121,8 @@ class Transport:
             reuse: as for ``system``.
             diffusion: as for ``system``.
         """
-        matrices = self.matrices
-        if diffusion is None:
-            diffusion = matrices.options.diffusion
-        if matrices.options.scheme == "fct":
-            corrected: FluxCorrectedSystem = reuse or FluxCorrectedSystem(matrices)
-            corrected.change(advection, diffusion)
-            return corrected
-        added = self._without_inflow(advection)
-        if diffusion != matrices.options.diffusion:
+        matrices, added = self.matrices, self._without_inflow(advection)
+        if diffusion is not None and diffusion != matrices.options.diffusion:
             added = added + (diffusion - matrices.options.diffusion) * matrices.stiffness
         return self._system(added, matrices.before, reuse)
 
@@ -149,7 +144,11 @@ class Transport:
         self._velocity.x.scatter_forward()
         return self.matrices.assemble(self._advection)
 
-    def _system(self, added: np.ndarray, before: Any, reuse: TransportSystem | None) -> TransportSystem:
-        system = reuse or TransportSystem(self.matrices)
+    def _system(self, added: np.ndarray, before: Any, reuse: System | None) -> System:
+        system = reuse or self._new_system()
         system.change(added, before)
         return system
+
+    def _new_system(self) -> System:
+        galerkin = TransportSystem(self.matrices)
+        return FluxCorrectedSystem(self.matrices, galerkin) if self.matrices.options.scheme == "fct" else galerkin

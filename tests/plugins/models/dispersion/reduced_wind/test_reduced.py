@@ -211,8 +211,9 @@ def test_accelerated_winds_are_those_of_newton(block, solver, reference):
     np.testing.assert_allclose(seen.residual, found.residual, rtol=1e-12)
 
 
-def test_advection_in_a_reduced_wind_is_a_sum_of_matrices(block, solver):
-    transport = Transport(block, TransportOptions(), 1.0)
+@pytest.mark.parametrize("scheme, outflow", [("galerkin", "zero"), ("galerkin", "open"), ("fct", "open")])
+def test_advection_in_a_reduced_wind_is_a_sum_of_matrices(block, solver, scheme, outflow):
+    transport = Transport(block, TransportOptions(scheme=scheme, outflow=outflow), 1.0)
     advection = ReducedAdvection(transport, solver, accepted=0.0)
     found = solver.solve(2.5, 4.0)
     assert advection.holds(found.unit)
