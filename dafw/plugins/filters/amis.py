@@ -11,7 +11,8 @@ So a sample stays of use for good: new readings only change its likelihood. The 
 
     q_b = fresh p + (1 - fresh) (mean over centres c and widths h of t_5(z; c, h^2 C))
 
-C is the covariance of the samples under the tempered weights p L^power / q. The power is the largest whose effective
+A kernel counts for all samples but its own centre: else a sample that became a centre would lose weight. C is the
+covariance of the samples under the tempered weights p L^power / q. The power is the largest whose effective
 sample size is the number of members, so that C is never that of one lucky sample. The centres are drawn from the same
 weights. The members of the belief are drawn from w.
 
@@ -22,6 +23,7 @@ doi:10.1007/s11222-013-9440-2.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -30,7 +32,7 @@ import numpy as np
 from dafw.core.ensemble import Analysis, Diagnostic
 from dafw.core.interfaces import Filter
 from dafw.core.options import option
-from dafw.core.space import Array, IntArray, StateSpace
+from dafw.core.space import Array, StateSpace
 from dafw.core.window import Window
 from dafw.plugins.filters.candidates import (
     Candidates,
@@ -51,8 +53,6 @@ HOPELESS = 30.0
 """A proposal whose log prior is this much below the best sample's has no weight and is not run."""
 EQUAL = 0.9
 """Effective sample size, per sample, above which weights are as good as equal."""
-NEGLIGIBLE = 1e-4
-"""Weight that the samples which are given up may have together; half an archive is kept in any case."""
 MIDDLE = 0.5
 """The offset of the draw of members. It stays the same, so that most members stay from one analysis to the next: a
 policy would otherwise see another belief in each cycle, and the model would need other winds."""
@@ -75,7 +75,12 @@ class AMIS(Filter):
     )
     enough: float = option(3.0, "effective sample size, per member, from which no sample is added", above=0.0)
     fresh: float = option(0.2, "share of new samples that are drawn from the first guess", minimum=0.0, maximum=1.0)
-    archive: int = option(150, "samples kept from one analysis to the next", minimum=2)
+    archive: int = option(10, "samples kept from one analysis to the next, per member", minimum=1)
+
+    @classmethod
+    def check_options(cls) -> Mapping[str, Any]:
+        """Return few samples, so that the checks, which make thousands of analyses, take less than a minute."""
+        return {"enough": 0.5, "steps": 600, "archive": 3}
 
     def suit(self, space: StateSpace, n_members: int) -> None:
         """Raise ConfigurationError for control variables that the state does not have."""
@@ -91,7 +96,8 @@ class AMIS(Filter):
         cost = size * len(window.cycles)
         batches = 0
         while True:
-            log_base, fit = samples.log_prior - samples.log_proposal, self.likelihood.averaged(samples.fit)
+            log_base = samples.log_prior - samples.log_proposal - samples.log_kept
+            fit = self.likelihood.averaged(samples.fit)
             weights = normalized(log_base + fit)
             # Weights that are all but equal are not degenerate, however few they are.
             enough = min(self.enough * size, EQUAL * len(samples))
@@ -106,10 +112,10 @@ class AMIS(Filter):
             if found is not None:
                 samples = samples.joined(replace(found, log_proposal=self._of_all(found, kernels, size)))
             batches += 1
-        kept = self._worth_keeping(weights)
+        kept = samples.thinned(weights, self.archive * size, rng.random())
         belief = rows(samples.now, systematic(weights, size, MIDDLE))
         members = ensemble.space.retract(belief.ensemble.members, np.zeros(ensemble.space.size))
-        memory = {**samples.taken(kept).to_memory(), **kernels.to_memory(), "done": np.array(number + 1)}
+        memory = {**kept.to_memory(), **kernels.to_memory(), "done": np.array(number + 1)}
         diagnostics = self._diagnostics(samples, weights, batches * size)
         return Analysis(members, memory, diagnostics, model_memory=belief.memory)
 
@@ -144,12 +150,6 @@ class AMIS(Filter):
         if not kept.any():
             return None
         return evaluated(window, starts[kept], coordinates[kept], log_prior[kept], self.likelihood)
-
-    def _worth_keeping(self, weights: Array) -> IntArray:
-        """Return the samples, in their order, that together have all weight but ``NEGLIGIBLE``; at most ``archive``."""
-        best_first = np.argsort(-weights, kind="stable")
-        count = np.searchsorted(np.cumsum(weights[best_first]), 1.0 - NEGLIGIBLE) + 1
-        return np.asarray(np.sort(best_first[: min(max(count, self.archive // 2), self.archive)]))
 
     def _log_density(self, kernels: Array, log_prior: Array) -> Array:
         """Return log q_b from the log density of the kernels and of the prior; both (..., P)."""

@@ -26,6 +26,7 @@ class Candidates:
     coordinates  (P, k) their controls (``Controls.coordinates``)
     log_prior    (P,) log density of the first guess, of the coordinates
     log_proposal (P,) log density that importance sampling divides by; zero where they are not weighted by it
+    log_kept     (P,) log probability that a candidate was kept whenever candidates were given up; zero before
     fit          (P, S) log likelihood of all readings so far, for each size of the model's error
     now          the candidates at the end of the present cycle, with the model's memory
     """
@@ -34,6 +35,7 @@ class Candidates:
     coordinates: Array
     log_prior: Array
     log_proposal: Array
+    log_kept: Array
     fit: Array
     now: Forecast
 
@@ -80,11 +82,32 @@ class Candidates:
         run again from the start.
         """
         if any(number < since for number, _ in window.late):
-            again = evaluated(window, self.starts, self.coordinates, self.log_prior, likelihood)
-            return again if len(again) < len(self) else replace(again, log_proposal=self.log_proposal)
+            start = window.first.ensemble.with_members(self.starts)
+            now, fit, kept = _run(window, start, window.cycles[0].number, likelihood)
+            return replace(self.taken(kept), fit=fit, now=now)
         now, fit, kept = _run(window, self.now, since, likelihood)
         rest = self.taken(kept)
         return replace(rest, fit=rest.fit + fit, now=now)
+
+    def thinned(self, weights: Array, size: int, offset: float) -> Candidates:
+        """Return ``size`` of the candidates in their order: those of large weight, and some of the others.
+
+        A candidate of weight w is kept with the probability min(1, c w), with c such that ``size`` are expected, and
+        this probability divides its weight from now on. So every average keeps its expectation.
+        """
+        if len(self) <= size:
+            return self
+        chance = np.minimum(1.0, weights * size)
+        for _ in range(len(self)):
+            sure = chance >= 1.0
+            rest = weights[~sure].sum()
+            scaled = np.where(sure, 1.0, weights * (size - sure.sum()) / rest if rest > 0.0 else 0.0)
+            if (scaled <= 1.0).all():
+                break
+            chance = np.minimum(1.0, scaled)
+        kept = np.flatnonzero(np.diff(np.floor(np.cumsum(scaled) + offset), prepend=np.floor(offset)) >= 1.0)
+        rest_of_all = self.taken(kept)
+        return replace(rest_of_all, log_kept=rest_of_all.log_kept + np.log(scaled[kept]))
 
 
 def rows(forecast: Forecast, indices: IntArray) -> Forecast:
@@ -122,7 +145,8 @@ def evaluated(
     ensemble = window.first.ensemble.with_members(starts)
     start = ensemble if memory is None else Forecast(ensemble, memory)
     now, fit, kept = _run(window, start, window.cycles[0].number, likelihood)
-    return Candidates(starts[kept], coordinates[kept], log_prior[kept], np.zeros(len(kept)), fit, now)
+    zeros = np.zeros(len(kept))
+    return Candidates(starts[kept], coordinates[kept], log_prior[kept], zeros, zeros, fit, now)
 
 
 def _run(

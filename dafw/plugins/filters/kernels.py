@@ -78,7 +78,7 @@ class Kernels:
 
     def log_density(self, coordinates: Array) -> Array:
         """Return the log density (B, P) of every proposal at coordinates (P, k)."""
-        n_proposals, n_centres, k = self.centres.shape
+        n_proposals, _, k = self.centres.shape
         if not n_proposals or self.controls is None:
             return np.empty((0, len(coordinates)))
         offset = self.controls.offset(coordinates[:, np.newaxis], self.centres[:, np.newaxis])  # (B, P, c, k)
@@ -87,10 +87,15 @@ class Kernels:
         distance = np.einsum("bpci,bpci->bpc", whitened, whitened)
         constant = lgamma(0.5 * (DEGREES + k)) - lgamma(0.5 * DEGREES) - 0.5 * k * log(DEGREES * pi)
         volume = np.log(np.diagonal(self.factors, axis1=1, axis2=2)).sum(axis=1)[:, np.newaxis]
+        # A sample that is a centre itself is left to the other kernels; a single centre counts all the same.
+        others = distance > 0.0
+        others |= ~others.any(axis=2, keepdims=True)
         parts = [
-            -0.5 * (DEGREES + k) * np.log1p(distance / (DEGREES * width**2)) - k * np.log(width) for width in WIDTHS
+            np.where(others, -0.5 * (DEGREES + k) * np.log1p(distance / (DEGREES * width**2)), -np.inf)
+            - k * np.log(width)
+            for width in WIDTHS
         ]
-        kernels = np.logaddexp.reduce(np.concatenate(parts, axis=2), axis=2) - np.log(len(WIDTHS) * n_centres)
+        kernels = np.logaddexp.reduce(np.concatenate(parts, axis=2), axis=2) - np.log(len(WIDTHS) * others.sum(axis=2))
         return np.asarray(kernels + constant - volume)
 
     def to_memory(self) -> dict[str, Any]:
