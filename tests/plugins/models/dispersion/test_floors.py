@@ -52,7 +52,7 @@ def imports():
 
 
 def floors(graph):
-    """Return the length of the longest chain of imports; raises graphlib.CycleError where there is a circle."""
+    """Return the length of the longest chain of imports; raises graphlib.CycleError if there is a circle."""
     height = {}
     for name in TopologicalSorter(graph).static_order():
         height[name] = 1 + max((height[below] for below in graph.get(name, ())), default=0)
