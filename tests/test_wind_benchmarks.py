@@ -1,4 +1,4 @@
-"""The benchmarks of the wind run; the drag of the published flow comes out, on a coarse mesh, as far as that can."""
+"""The benchmarks of the wind run; the drag agrees with the published value to the accuracy of a coarse mesh."""
 
 import json
 import subprocess

@@ -1,4 +1,4 @@
-"""How dafw knows that it is one of several processes, and that it is not; nothing here starts any."""
+"""How dafw recognises whether it is one of several processes. These tests start no processes."""
 
 import os
 import subprocess
@@ -15,7 +15,7 @@ SEVERAL = {"SLURM_PROCID": "0", "SLURM_STEP_NUM_TASKS": "4"}
 
 @pytest.fixture(autouse=True)
 def task(monkeypatch):
-    """No launcher's variables, and where there are some of SLURM's, a task of srun."""
+    """No variables of any launcher; if a test sets SLURM's, the process is a task of srun."""
     for name in [name for name in os.environ if name.startswith(("PMI", "OMPI_", "SLURM_"))]:
         monkeypatch.delenv(name)
     monkeypatch.setattr(mpirun, "_is_task", lambda: True)

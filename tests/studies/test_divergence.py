@@ -1,4 +1,4 @@
-"""A belief that leaves all sense: a warning, once, and then an end that says which number it is."""
+"""A belief that diverges: one warning, and then an error that names the number that is too large."""
 
 import json
 import re
@@ -20,7 +20,7 @@ def summary(folder):
 
 
 class Doubling(Model):
-    """Two numbers of which one doubles in every step."""
+    """Two numbers; one doubles in every step."""
 
     space = StateSpace([Variable("still", 1), Variable("growing", 2, plausible=10.0)])
     dt = 1.0
@@ -33,7 +33,7 @@ class Doubling(Model):
 
 
 class Still(Doubling):
-    """Nothing grows."""
+    """A model whose numbers do not change."""
 
     def step(self, members, t, rng):
         return members
@@ -49,7 +49,7 @@ class Pushing(Filter):
 
 
 class Singular(Filter):
-    """Its linear algebra fails in the third analysis."""
+    """A filter whose linear algebra fails in the third analysis."""
 
     def analyse(self, forecast, predicted, observation, rng):
         if forecast.time == 3.0:

@@ -1,4 +1,4 @@
-"""The imports among the modules of the dispersion models lead downwards only, in every function, too."""
+"""The modules of the dispersion models import only from lower ones, also within functions."""
 
 import ast
 import subprocess
@@ -26,7 +26,7 @@ ORDER = (
     "unknowns",
     "model",
 )
-"""Rooms and modules from the lowest on; nothing imports what stands after it."""
+"""Folders and modules, the lowest first; no module imports a later one."""
 
 
 def modules():
