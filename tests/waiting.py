@@ -1,8 +1,8 @@
 """Plugins that stop a run in the middle until a test lets it continue, and functions to use them in tests.
 
-A run that is to be interrupted must still be under way when the signal comes, however fast or slow the machine is. So
-it waits: in cycle ``HALT`` it leaves a file ``waiting-PID`` in a folder, and goes on when there is a file ``go``. By
-then the rows of the cycles before are on disk: the cycle before took longer than the record keeps rows back.
+A run that a test interrupts must still be under way when the signal comes, however fast or slow the machine is. So the
+run waits: in cycle ``HALT`` it writes a file ``waiting-PID`` into a folder, and continues when a file ``go`` exists. By
+then the rows of the earlier cycles are on disk, because the cycle before took longer than the record keeps rows back.
 """
 
 from __future__ import annotations
@@ -90,9 +90,9 @@ def plugin_path(folder: Path) -> str:
 
 @contextmanager
 def halted(words: list[str], folder: Path, waiting: int = 1, **more: object) -> Iterator[subprocess.Popen[str]]:
-    """Start a command in ``folder`` whose files are in its ``halt``, and give it when so many processes wait.
+    """Start a command in ``folder``; yield its process when ``waiting`` processes wait. Files are in ``folder/halt``.
 
-    ``words`` follow ``python``, or are a whole command that begins with a path. Killed when the block ends.
+    ``words`` are arguments of ``python``, or a whole command that begins with a path. It is killed when the block ends.
     """
     place = folder / "halt"
     place.mkdir()
