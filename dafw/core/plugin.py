@@ -122,7 +122,7 @@ def require_sense(plugin: Plugin, space: StateSpace, members: Array) -> None:
         what, value = space.place_of(entry), members[member, entry]
         with about_member(member):
             raise DivergenceError(
-                f"{plugin.label}: the numbers have left all sense: {what}, {value:.6g}, is "
+                f"{plugin.label}: the numbers have diverged: {what}, {value:.6g}, is "
                 f"{space.excess(members):.3g} times the largest value that is plausible"
             )
 

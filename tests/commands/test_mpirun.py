@@ -105,7 +105,7 @@ def test_tasks_that_do_not_see_each_other_are_refused_by_one_of_them(monkeypatch
 def test_ranks_of_an_unknown_number_are_refused_by_one_of_them(monkeypatch, capsys):
     monkeypatch.setenv("PMIX_RANK", "1")
     said = refused(capsys, ["run"])
-    assert said.startswith("dafw: rank 1 of a launcher that says not how many processes there are: expected the mpirun")
+    assert said.startswith("dafw: rank 1 of a launcher that does not give the number of processes: expected the mpirun")
     assert said.count("\n") == 1
     monkeypatch.setenv("PMIX_RANK", "2")
     assert refused(capsys, ["run"]) == ""

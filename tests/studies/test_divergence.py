@@ -67,7 +67,7 @@ def test_a_model_that_runs_away_is_warned_of_once_and_ended(tmp_path, capsys):
         dafw.run(study(Doubling(), NoFilter()), tmp_path / "run")
     # 1.2 times 2^4 is above 10, 1.2 times 2^14 above a thousand times 10.
     assert str(caught.value).startswith(
-        "at t = 13 s, phase 'forecast': member 2: model 'Doubling': the numbers have left all sense: 'growing' at "
+        "at t = 13 s, phase 'forecast': member 2: model 'Doubling': the numbers have diverged: 'growing' at "
         "node 1, 19660.8, is 1.97e+03 times the largest value that is plausible; 13 of 40 cycles are kept in "
     )
     warning = "t = 4 s: filter 'NoFilter' has diverged: 'growing' at node 1 of member 2 is 19.2, more than the model"
@@ -123,7 +123,7 @@ def test_a_cloud_that_grows_without_end_is_ended_long_before_numbers_overflow(tm
     with pytest.raises(DivergenceError) as caught:
         gas(2000, tmp_path / "run")
     said = re.search(
-        r"^at t = \d+ s, phase '\w+': member [0-3]: \w+ '\w+': the numbers have left all sense: 'concentration' at "
+        r"^at t = \d+ s, phase '\w+': member [0-3]: \w+ '\w+': the numbers have diverged: 'concentration' at "
         r"node \d+, ([0-9.e+]+), is",
         str(caught.value),
     )
