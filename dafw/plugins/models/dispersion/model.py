@@ -65,8 +65,8 @@ class AdvectionDiffusion(Model):
     cutoff: float = option(1e-6, "with noise: concentrations up to this are set to zero before a step")
     estimate: list[str] = option(
         [],
-        "more unknowns, which become part of the state: diffusion, release_x, release_y; for a burst amount; for a leak "
-        "rate, leak_start; for a second source release_2_x, rate_2, ...",
+        "more unknowns, which become part of the state: diffusion, release_x, release_y; for a burst amount; for a "
+        "leak rate, leak_start; for a second source release_2_x, rate_2, ...",
     )
     priors: dict[str, Any] = option({}, "priors of unknowns by name, instead of the default priors")
     certain: bool = option(False, "every unknown has the value of its option; for the truth and the free run")
