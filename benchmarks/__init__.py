@@ -4,7 +4,7 @@ A benchmark is a function in a file of this folder::
 
     @benchmark("l96.etkf_rmse")
     def etkf_rmse(short: bool) -> Measurement:
-        '''One sentence for the list.'''
+        '''One sentence that says what is measured.'''
 
 ``short`` asks for the smallest case that shows that the benchmark works; its value has no meaning. Two things to be
 compared are timed alternately in one run, and the result is the median of several ratios. ``--json FILE`` writes the

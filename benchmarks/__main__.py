@@ -15,15 +15,17 @@ from dafw.core.errors import DafwError
 def main(words: Sequence[str] | None = None) -> int:
     """Run benchmarks, print a table, write JSON; return the exit status."""
     known = benchmarks()
-    parser = argparse.ArgumentParser(prog="python -m benchmarks", description="Measure what dafw is held to.")
-    parser.add_argument("names", nargs="*", metavar="NAME", help=f"which to run; all where none is named: {[*known]}")
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks", description="Measure speed and accuracy, and compare them with required values."
+    )
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"benchmarks to run, by default all: {[*known]}")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the results to FILE")
-    parser.add_argument("--short", action="store_true", help="only show that they work; the values mean nothing")
+    parser.add_argument("--short", action="store_true", help="smallest cases: only checks that the benchmarks work")
     asked = parser.parse_args(words)
     if unknown := [name for name in asked.names if name not in known]:
         parser.error(f"there is no benchmark '{unknown[0]}' (there are: {', '.join(known)})")
     results = []
-    print(f"{'benchmark':32} {'value':>10} {'held to':>10} unit")
+    print(f"{'benchmark':32} {'value':>10} {'required':>10} unit")
     for name in asked.names or known:
         try:
             found = known[name](asked.short)

@@ -99,7 +99,7 @@ def realtime_factor_n10(short: bool) -> Measurement:
 
 @benchmark("cycle.realtime_factor_n100")
 def realtime_factor_n100(short: bool) -> Measurement:
-    """The same with 100 members."""
+    """Simulated seconds per second of the paper's study with 100 members."""
     if short:
         return realtime_factor([*SMALL, *TOY], 2, warm=False)
     return realtime_factor([*PAPER, *BEST, "executor=processes", "members=100"], 100)
@@ -107,7 +107,7 @@ def realtime_factor_n100(short: bool) -> Measurement:
 
 @benchmark("cycle.over_literal")
 def over_literal(short: bool) -> Measurement:
-    """Time of a cycle by the paper's literal algorithm over that of the best configuration, cycles taken in turn."""
+    """Time of a cycle of the paper's literal algorithm over that of the best configuration, timed alternately."""
     size, best, cycles = (SMALL, TOY, 3) if short else (PAPER, BEST, 16)
     with ExitStack() as stack:
         literal, quick = (stack.enter_context(running([*size, *how])) for how in (LITERAL, best))
@@ -156,7 +156,7 @@ class Stopwatch:
 def overhead(overrides: Sequence[str], cycles: int) -> Measurement:
     """Return the milliseconds of a cycle, median without the first, that are neither model step nor filter algebra.
 
-    Recording is told apart: its share is that of all rows, the file's closing included, over those cycles.
+    Recording is listed separately. Its share is the time of all rows and of closing the file, over those cycles.
     """
     watches = {name: Stopwatch() for name in ("model", "filter", "policy", "observer", "record")}
     rows: list[dict[str, float]] = []
@@ -195,5 +195,5 @@ def overhead(overrides: Sequence[str], cycles: int) -> Measurement:
 
 @benchmark("cycle.overhead_ms")
 def overhead_ms(short: bool) -> Measurement:
-    """Milliseconds of a cycle, median, that are neither model step nor filter algebra; recording is told apart."""
+    """Median milliseconds of a cycle outside the model's step and the filter; the detail lists recording separately."""
     return overhead([*SMALL, *LITERAL], 2) if short else overhead([*PAPER, *BEST], 61)

@@ -20,7 +20,7 @@ HEIGHT, LENGTH, CENTRE, RADIUS = 0.41, 2.2, (0.2, 0.2), 0.05
 
 @dataclass(frozen=True)
 class Forces:
-    """Drag and lift coefficient, and the pressure in front of the cylinder less that behind it (density 1)."""
+    """Drag and lift coefficient, and the pressure in front of the cylinder minus that behind it (density 1)."""
 
     drag: float
     lift: float
@@ -98,7 +98,7 @@ def forces(mesh: Any) -> tuple[Forces, int]:
 
 @benchmark("wind.cylinder_drag_error")
 def cylinder_drag_error(short: bool) -> Measurement:
-    """Relative error of the drag on the finest of a row of meshes; the detail has the table."""
+    """Relative error of the drag on the finest of several meshes; the detail has the results on all of them."""
     table = []
     for refinement in range(1 if short else 5):
         found, unknowns = forces(channel(refinement))

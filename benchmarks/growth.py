@@ -16,7 +16,7 @@ from benchmarks import machine
 from benchmarks.cycle import PAPER, running
 
 SIZES = {"2.5k": (16.0, 24.0, 100.0), "10k": (5.5, 14.0, 120.0), "40k": (2.7, 6.5, 120.0), "160k": (1.35, 3.2, 120.0)}
-"""Sizes of the triangles in metres at walls and far away, and the width between, for about so many nodes."""
+"""By number of nodes: sizes of the triangles at walls and far from them, width of the transition; in metres."""
 
 
 def seconds_of_a_cycle(nodes: str, members: int, cycles: int, overrides: Sequence[str]) -> tuple[int, float]:

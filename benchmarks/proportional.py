@@ -75,19 +75,19 @@ def _share(short: bool, solver: str) -> Measurement:
 
 @benchmark("wind.proportional_share_reduced")
 def share_reduced(short: bool) -> Measurement:
-    """Share of a run's time, set-up apart, in reduced winds under the proportional closure."""
+    """Share of a run's time, without set-up, that reduced winds take with the proportional closure."""
     return _share(short, "reduced")
 
 
 @benchmark("wind.proportional_share_accelerated")
 def share_accelerated(short: bool) -> Measurement:
-    """The same with the accelerated solver."""
+    """The same for accelerated winds."""
     return _share(short, "accelerated")
 
 
 @benchmark("wind.proportional_directions")
 def directions(short: bool) -> Measurement:
-    """The fewest directions in the basis with which winds it never saw have at most 1 % error, and are trusted."""
+    """Fewest directions of the basis with which unseen winds have at most 1 % error, actual and estimated."""
     from dafw.plugins.models.dispersion.reduced_wind.choice import build
     from dafw.plugins.models.dispersion.reduced_wind.flow import ReducedFlow
     from dafw.plugins.models.dispersion.reduced_wind.velocity_space import VelocitySpace

@@ -16,10 +16,11 @@ from dafw.plugins.models.dispersion.transport.transport import Transport
 
 @benchmark("ad.step_over_scratch")
 def step_over_scratch(short: bool) -> Measurement:
-    """A member's step over assemble + ILU + BiCGStab from scratch in the same given wind; every fourth wind is new.
+    """Time of a member's step over that of the paper's literal step in the same wind; every fourth wind is new.
 
-    That is how often a member of the recorded run had a new one: 250 times in 1000 steps. A new wind counts with the
-    sum of its matrix and with its preconditioner; solving for it is no part of a step, on neither side.
+    The literal step assembles all forms and solves with ILU and BiCGStab from zero. A member of the recorded run had a
+    new wind in every fourth step: 250 times in 1000 steps. The step in a new wind includes its matrix and its
+    preconditioner. Neither side includes solving for the wind.
     """
     from dafw.plugins.models.dispersion.reduced_wind.advection import ReducedAdvection
 
@@ -56,7 +57,7 @@ def step_over_scratch(short: bool) -> Measurement:
 
 @benchmark("ad.two_precisions")
 def two_precisions(short: bool) -> Measurement:
-    """What the single precision of small modes changes in a step of two clouds, of the largest concentration."""
+    """Change of a step of two clouds by single precision for small modes, relative to the largest concentration."""
     from dafw.plugins.models.dispersion.reduced_wind.advection import ReducedAdvection
 
     measured = case(short)

@@ -149,13 +149,13 @@ def _over_newton(short: bool, cheap: str) -> Measurement:
 
 @benchmark("wind.accelerated_over_newton")
 def accelerated_over_newton(short: bool) -> Measurement:
-    """Warm Newton's time over the accelerated solver's, same tolerance: median over the re-solves of a run."""
+    """Time of warm Newton over the accelerated solver's, to the same tolerance: median over the re-solves of a run."""
     return _over_newton(short, "accelerated")
 
 
 @benchmark("wind.reduced_over_newton")
 def reduced_over_newton(short: bool) -> Measurement:
-    """The same for the reduced solver, certificate included."""
+    """The same for the reduced solver, including its error estimate."""
     return _over_newton(short, "reduced")
 
 
@@ -227,11 +227,11 @@ def _error(short: bool, share: float) -> Measurement:
 
 @benchmark("wind.reduced_error_median")
 def reduced_error_median(short: bool) -> Measurement:
-    """Median error of the reduced wind over 200 winds that the basis never saw."""
+    """Median error of reduced winds, over 200 winds that were not used for the basis."""
     return _error(short, 0.5)
 
 
 @benchmark("wind.reduced_error_p95")
 def reduced_error_p95(short: bool) -> Measurement:
-    """The error that 95 % of them stay below."""
+    """The 95 % quantile of these errors."""
     return _error(short, 0.95)

@@ -1,4 +1,4 @@
-"""A fresh environment with the built wheels of dafw and acme in it: what a user has, made offline, once a session."""
+"""A fresh environment with the built wheels of dafw and acme, like a user's; made offline, once a session."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ ROOT = Path(__file__).resolve().parent.parent
 
 @dataclass(frozen=True)
 class Environment:
-    """An environment's ``bin`` folder, and running things with it."""
+    """The ``bin`` folder of an environment, and a method that runs commands with it."""
 
     bin: Path
 
@@ -30,10 +30,10 @@ class Environment:
     ) -> subprocess.CompletedProcess[str]:
         """Run a command of the environment; ``path``: a folder with further installed packages; ``more``: variables."""
         surroundings = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "PYTEST_"))}
-        # The library of MPI lies beside the packages, where only their own environment looks for it.
+        # The MPI library is beside the packages, where only their own environment looks for it.
         surroundings |= {"LD_LIBRARY_PATH": f"{sysconfig.get_path('data')}/lib"}
         surroundings |= {"PATH": f"{self.bin}{os.pathsep}{os.environ['PATH']}", "OMP_NUM_THREADS": "1", **more}
-        # pip as it is meant to be used, but for the network: dependencies and build tools are there already.
+        # The usual pip, but without the network: dependencies and build tools are installed already.
         offline = {"NO_INDEX": "1", "NO_DEPS": "1", "NO_BUILD_ISOLATION": "0", "DISABLE_PIP_VERSION_CHECK": "1"}
         surroundings |= {f"PIP_{name}": value for name, value in offline.items()}
         if path is not None:

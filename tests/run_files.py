@@ -1,10 +1,10 @@
-"""What is in the file of a run."""
+"""Reads the file of a run."""
 
 import netCDF4
 
 
 def contents(folder):
-    """Return the bits of everything in a run's file but the times that it took, by name."""
+    """Return, by name, the bits of everything in a run's file except the measured times."""
     with netCDF4.Dataset(folder / "run.nc") as file:
         file.set_auto_mask(False)
         return {

@@ -1,4 +1,4 @@
-"""A real third party: its wheel next to dafw's in a fresh environment, run from an empty folder; and broken ones."""
+"""A third-party package: its wheel and dafw's in a fresh environment, used from an empty folder; broken packages."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ ACME = (
 
 
 def one_line(text: str) -> str:
-    """Return the only line there is."""
+    """Return the only line."""
     assert text.count("\n") == 1, text
     return text.strip()
 
@@ -72,7 +72,7 @@ def test_a_wrong_choice_lists_acmes_too(tmp_path):
     assert "configured ones: acme_dense" in wrong
 
 
-# Broken third parties, installed as a folder of packages on the path. -------------------------------------------------
+# Broken third-party packages, installed as a folder of packages on the path. ------------------------------------------
 
 SPEC = "from dafw import PluginSpec, hookimpl\n\n@hookimpl\ndef {hook}():\n    return [{specs}]\n"
 HEAD = """\
@@ -102,7 +102,7 @@ FAULTS = {
 
 
 def install(folder: Path, package: str, code: str, **modules: str) -> None:
-    """Leave in ``folder`` what an installation of the package leaves."""
+    """Write into ``folder`` the files that an installation of the package writes."""
     (folder / package).mkdir()
     (folder / package / "__init__.py").write_text(code)
     for module, text in modules.items():

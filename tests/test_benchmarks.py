@@ -1,4 +1,4 @@
-"""The benchmarks run: their command, its table, its JSON. Nothing here depends on how quick the machine is."""
+"""The benchmarks run: their command, its table, its JSON. Nothing here depends on the machine's speed."""
 
 import json
 import subprocess
@@ -26,7 +26,7 @@ def test_command_prints_a_table_and_writes_json(tmp_path):
         assert result["baseline"] == baseline
         assert {"unit", "machine"} <= result.keys()
         assert len(result["detail"]["scores"]) == 2
-        assert 0.0 < result["value"] < 1.0  # below the readings' own error
+        assert 0.0 < result["value"] < 1.0  # below the error of the readings
 
 
 def test_an_unknown_name_is_a_wrong_request():

@@ -1,4 +1,4 @@
-"""The benchmarks of whole cycles run, and compare what they say they compare."""
+"""The benchmarks of whole cycles run, and compare the configurations that they name."""
 
 import json
 import subprocess

@@ -1,12 +1,13 @@
-"""README, CONTRIBUTING and docs, tried literally: every block is run in the order of its page, in an empty folder.
+"""README, CONTRIBUTING and docs: every block of a page is run, in order, in an empty folder.
 
-A block says by its language what it is:
+The language of a block says what is done with it:
 
-    sh                    commands; they are run as printed, or as REDUCED says
+    sh                    commands; they are run as printed, or as changed by REDUCED
     python                a program; it is run
     ANY title="FILE"      a file; it is written
     toml, yaml, json      a part of a file; it is parsed
-    text                  what the commands above print, or a drawing; held against them where all ran as printed
+    text                  the output of the commands above, or a drawing; compared with the actual output if all
+                          commands ran as printed
 """
 
 from __future__ import annotations
@@ -53,7 +54,7 @@ REDUCED = {
     r"--nodes 2\.5k .* --cycles 3": ("--nodes 2.5k --members 2 3 --cycles 1", "one mesh, small ensembles"),
     r"(?<=benchmarks\.growth).*$": (rf"\g<0> {MESH} {BASIS}", "the mesh and the basis above"),
 }
-"""Commands that would take long, or need what a test has not: what is run instead, and why."""
+"""Commands that would take long or that a test cannot run: what is run instead, and why."""
 
 OMITTED = {
     r"^uv pip compile ": "asks a package registry, and would write the lock file",
@@ -98,7 +99,7 @@ def commands(block: Block) -> list[str]:
 
 
 def reduced(command: str) -> str | None:
-    """Return what is run for a command; None where nothing is."""
+    """Return the command that is run instead of a command; None if none is."""
     if any(re.search(pattern, command) for pattern in OMITTED):
         return None
     for pattern, (instead, _) in REDUCED.items():
@@ -107,7 +108,7 @@ def reduced(command: str) -> str | None:
 
 
 def reduced_program(program: str) -> str:
-    """Return what is run for a program."""
+    """Return the program that is run instead of a program."""
     for part, (instead, _) in PROGRAMS.items():
         program = program.replace(part, instead)
     return program
@@ -115,7 +116,7 @@ def reduced_program(program: str) -> str:
 
 @pytest.fixture(scope="module")
 def variables(tmp_path_factory):
-    """Return the variables under which all pages run: with one cache, so that a mesh is made once; without a screen."""
+    """Return the environment variables for all pages: one cache, so that a mesh is made once; no screen."""
     return {"DAFW_CACHE": str(tmp_path_factory.mktemp("cache")), "MPLBACKEND": "Agg"}
 
 

@@ -15,21 +15,21 @@ BELOW = {
     "plugins": {"core"},
     "authoring": {"plugins", "core"},
     "views": {"plugins", "core"},
-    "studies": {"views", "plugins", "core"},  # views: a run ends with its pictures
+    "studies": {"views", "plugins", "core"},  # from views, because a run ends with its pictures
     "commands": {"studies", "views", "authoring", "plugins", "core"},
 }
-"""What each room may import from, besides itself."""
+"""The folders from which each folder may import, besides itself."""
 FACES = {
     "__init__": {"studies", "views", "authoring", "plugins", "core"},
     "__main__": {"commands"},
     "testing": {"authoring"},
 }
-"""The modules beside the rooms, for users alone: no room may import them."""
+"""The modules beside these folders, for users only: no folder may import them."""
 MODULES = sorted(path.relative_to(PACKAGE) for path in PACKAGE.rglob("*.py"))
 
 
 def rooms_of_imports(source: str, module: Path) -> set[str]:
-    """Return the rooms and faces of dafw that a module, given by its path in the package, imports from."""
+    """Return the folders and top-level modules of dafw from which a module at a path in the package imports."""
     found = set()
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):

@@ -1,4 +1,4 @@
-"""The page on run.nc and summary.json against what runs of every kind leave: every name is there, and none besides."""
+"""The page on run.nc and summary.json compared with runs of every kind: it has exactly the names in their files."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Ponds(Model):
 
 @dataclass
 class Weighing(Filter):
-    """Leaves the members alone and weighs them."""
+    """Does not change the members, but gives them weights."""
 
     def analyse(self, forecast, predicted, observation, rng):
         weights = np.arange(1.0, len(forecast) + 1.0)
@@ -67,7 +67,7 @@ LISTED = Listed([{"time": 0.5, "value": 1.0, "entry": 1}, {"time": 1.0, "value":
 
 
 def plant():
-    """Return everything at once: a plant with its wind, a drone that finds its way, a filter that looks back."""
+    """Return a study with all features: a plant with its wind, a drone with a policy, a filter that looks back."""
     options = {**AdvectionDiffusionINS.check_options(), "noise": 0.0}
     models = {role: AdvectionDiffusionINS.from_options(**options) for role in ("model", "truth", "free")}
     flown = {"observer": Drone(), "policy": EnIE2D(), "start": [[0.0, -30.0]], "section": [[0.0, -80.0], [0.0, -30.0]]}
@@ -91,7 +91,7 @@ STUDIES = {
 
 @pytest.fixture(scope="module", params=list(STUDIES))
 def run(request, tmp_path_factory):
-    """Return a run's file, its summary and what the page would call present in it."""
+    """Return a run's file, its summary and the entries of the column 'present' that apply to it."""
     make, present = STUDIES[request.param]
     folder = tmp_path_factory.mktemp("run") / "run"
     summary = run_study(make(), folder)
@@ -101,7 +101,7 @@ def run(request, tmp_path_factory):
 
 
 def documented(file, heading, present):
-    """Return names, dims and whether they should be there, of every row of a table; state variables by their names."""
+    """Yield name, dims, whether it should be present and the state variable, for every row of a table."""
     spaced = [name.removesuffix("_forecast_mean") for name in file.variables if name.endswith("_forecast_mean")]
     variables = [name for name in spaced if name != "observation"]
     for cells in rows(heading):

@@ -1,4 +1,4 @@
-"""setup.sh in made-up worlds: PATH holds only what each test puts there, uv and apt-get are pretended."""
+"""setup.sh in simulated environments: PATH has only a test's commands; uv and apt-get are imitations."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from dafw.commands import doctor_findings
 CHECKOUT = Path(__file__).resolve().parents[1]
 TOOLS = ["sh", "cat", "cksum", "dirname", "echo", "env", "flock", "ln", "mkdir", "mv", "rm", "sed", "sleep", "true"]
 
-# Makes what uv would make; every call goes to the log. FAIL names the part of a call that fails, with status 3.
+# Makes the files that uv would make and logs every call. FAIL names the part of a call that fails, with status 3.
 UV = f"""
 echo "uv $*" >>"$LOG"
 case "$*" in *"${{FAIL:-nothing}}"*) exit 3 ;; *--help) exit 0 ;; esac
@@ -24,7 +24,7 @@ for last in "$@"; do :; done
 if [ "$1" = venv ]; then mkdir -p "$last/bin"; ln -s {sys.executable} "$last/bin/python"; fi
 """
 
-# Stands for dafw/commands/doctor.py: the file `lacking` beside it holds the packages that the system lacks.
+# Imitates dafw/commands/doctor.py: the file `lacking` beside it has the packages that the system lacks.
 DOCTOR = """
 import sys, pathlib
 lacking = pathlib.Path(__file__).with_name("lacking").read_text()
@@ -77,7 +77,7 @@ class World:
         return process.returncode, out, err
 
     def calls(self, word: str) -> int:
-        """How often a command with ``word`` was called since the last time this was asked."""
+        """Return how often a command with ``word`` was called since the last call of this function."""
         lines = self.log.read_text().splitlines() if self.log.exists() else []
         self.log.unlink(missing_ok=True)
         return sum(word in line and "--help" not in line for line in lines)
@@ -145,7 +145,7 @@ def test_an_interrupted_set_up_is_started_over(world):
 
 @pytest.mark.skipif(shutil.which("flock") is None, reason="without flock(1) set-ups do not wait for each other")
 def test_of_two_at_once_one_sets_up_and_the_other_waits(world):
-    # uv waits for the third call: the second set-up found the lock taken and asked for it once more.
+    # uv waits for the third call: then the second set-up has found the lock taken and tried again.
     (world.bin / "flock").unlink()
     world.command("flock", f'echo >>"$LOG.flock"; exec {shutil.which("flock")} "$@"')
     world.command("uv", UV + 'until [ "$(sed -n "$=" "$LOG.flock")" -ge 3 ]; do sleep 0.01; done')
@@ -174,7 +174,7 @@ def test_without_python_uv_may_download_one_and_else_it_is_named(world):
 
 def test_a_shim_of_uv_that_fails_is_replaced_by_a_private_uv(world):
     world.command("uv", "exit 127")
-    # A Python whose venv brings a pip that "installs" the pretended uv.
+    # A Python whose venv has a pip that "installs" the imitation of uv.
     world.command("real-uv", UV)
     make = f'mkdir -p "$4/bin"; ln -sf {world.bin}/python3.12 "$4/bin/python"'
     pip = f'ln -sf {world.bin}/real-uv "${{0%/*}}/uv"'

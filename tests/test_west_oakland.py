@@ -1,4 +1,4 @@
-"""A foreign site as it is: site, mesh, wind and ten cycles among the footprints of West Oakland."""
+"""An unmodified foreign site: site, mesh, wind and ten cycles among the footprints of West Oakland."""
 
 from pathlib import Path
 

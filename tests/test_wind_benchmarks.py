@@ -1,4 +1,4 @@
-"""The benchmarks of wind and transport run; the drag of the published flow comes out, as far as a coarse mesh can."""
+"""The benchmarks of wind and transport run; the drag agrees with the published value to the accuracy of a coarse mesh."""
 
 import json
 import subprocess

@@ -1,8 +1,8 @@
-"""Plugins that halt a run in the middle until it is told to go on, and what a test needs to use them.
+"""Plugins that stop a run in the middle until a test lets it continue, and functions to use them in tests.
 
-A run that is to be interrupted must still be under way when the signal comes, however fast or slow the machine is. So
-it waits: in cycle ``HALT`` it leaves a file ``waiting-PID`` in a folder, and goes on when there is a file ``go``. By
-then the rows of the cycles before are on disk: the cycle before took longer than the record keeps rows back.
+A run that a test interrupts must still be under way when the signal comes, however fast or slow the machine is. So the
+run waits: in cycle ``HALT`` it writes a file ``waiting-PID`` into a folder, and continues when a file ``go`` exists. By
+then the rows of the earlier cycles are on disk, because the cycle before took longer than the record keeps rows back.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from dafw.plugins.models.lorenz96 import Lorenz96
 from dafw.plugins.policies.stationary import Stationary
 
 HALT = 3
-"""The number of the cycle that waits; so many cycles are finished before."""
+"""The number of the cycle that waits, which is also the number of finished cycles before it."""
 PATIENCE = 300.0
-"""Seconds after which something that a test waits for is taken never to come; only a fault lets them pass."""
+"""Seconds after which a test stops waiting and fails; without a fault they never pass."""
 
 
 def halt(folder: str, cycle: int) -> None:
@@ -39,18 +39,18 @@ def halt(folder: str, cycle: int) -> None:
         Path(folder, f"waiting-{os.getpid()}").touch()
         until(Path(folder, "go").exists, "the file 'go'")
     if cycle > HALT:
-        # A signal that a launcher passes on takes a while: the run must not come to its end before.
+        # A signal that a launcher passes on takes some time; the run must not end before it arrives.
         time.sleep(0.05)
 
 
 def halt_task(folder: str, *task: object) -> None:
-    """Wait instead of doing what a worker was given to do."""
+    """Wait in a worker, instead of computing."""
     halt(folder, HALT)
 
 
 @dataclass
 class Halting(Stationary):
-    """Nobody moves, and one decision waits."""
+    """No vehicle moves, and one decision waits."""
 
     folder: str = option("", "folder of the files 'waiting-PID' and 'go'")
 
@@ -61,7 +61,7 @@ class Halting(Stationary):
 
 @dataclass
 class HaltingLorenz96(Lorenz96):
-    """Lorenz-96, of which one step waits; none where no folder is named."""
+    """Lorenz-96 in which one step waits; no step waits if no folder is named."""
 
     folder: str = option("", "folder of the files 'waiting-PID' and 'go'")
 
@@ -90,9 +90,9 @@ def plugin_path(folder: Path) -> str:
 
 @contextmanager
 def halted(words: list[str], folder: Path, waiting: int = 1, **more: object) -> Iterator[subprocess.Popen[str]]:
-    """Start a command in ``folder`` whose files are in its ``halt``, and give it when so many processes wait.
+    """Start a command in ``folder``; yield its process when ``waiting`` processes wait. Files are in ``folder/halt``.
 
-    ``words`` follow ``python``, or are a whole command that begins with a path. Killed when the block ends.
+    ``words`` are arguments of ``python``, or a whole command that begins with a path. It is killed when the block ends.
     """
     place = folder / "halt"
     place.mkdir()
@@ -113,12 +113,12 @@ def halted(words: list[str], folder: Path, waiting: int = 1, **more: object) -> 
 
 
 def go_on(folder: Path) -> None:
-    """Let a run go on that waits in ``folder``."""
+    """Let a run that waits in ``folder`` continue."""
     (folder / "halt" / "go").touch()
 
 
 def until(condition: Callable[[], bool], what: str) -> None:
-    """Wait for a condition; after ``PATIENCE`` the test fails and says what did not come."""
+    """Wait for a condition; after ``PATIENCE`` the test fails with a message that names it."""
     deadline = time.monotonic() + PATIENCE
     while not condition():
         if time.monotonic() > deadline:
@@ -127,7 +127,7 @@ def until(condition: Callable[[], bool], what: str) -> None:
 
 
 def runs(process: int) -> bool:
-    """Say whether a process runs; one that ended and was not waited for does not."""
+    """Return whether a process runs; a process that has ended but was not waited for does not."""
     try:
         return psutil.Process(process).status() != psutil.STATUS_ZOMBIE
     except psutil.NoSuchProcess:
@@ -135,7 +135,7 @@ def runs(process: int) -> bool:
 
 
 def ended(processes: list[int]) -> bool:
-    """Say whether all processes come to an end, which a signal's way to them may delay."""
+    """Return whether all processes end; a signal may need some time to reach them."""
     until(lambda: not any(map(runs, processes)), f"the end of processes {processes}")
     return True
 

@@ -59,7 +59,7 @@ def global_generators(seed: int = 0) -> Iterator[None]:
 
 @contextmanager
 def no_global_draws() -> Iterator[None]:
-    """Raise ConformanceError where the block draws from a global generator, or seeds one."""
+    """Raise ConformanceError if the block draws from a global generator, or seeds one."""
     with global_generators():
         python, numpy = random.getstate(), pickle.dumps(np.random.get_state())  # noqa: NPY002
         yield

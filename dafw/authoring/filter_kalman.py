@@ -17,7 +17,7 @@ MANY = 200
 
 
 def require_accuracy(filter_: Filter, wanted: str) -> None:
-    """Raise NotApplicable where the filter claims another accuracy, ConformanceError where there is no such claim."""
+    """Raise NotApplicable if the filter claims another accuracy, ConformanceError if there is no such claim."""
     if filter_.accuracy not in ACCURACIES:
         raise ConformanceError(f"accuracy must be one of {', '.join(ACCURACIES)}; got {filter_.accuracy!r}")
     if filter_.accuracy != wanted:

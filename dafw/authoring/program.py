@@ -44,7 +44,7 @@ class ProgramModel(Model):
 
     command: ClassVar[Sequence[str]]
 
-    time_limit: float = option(60.0, "seconds that one step of one member may take", above=0.0)
+    time_limit: float = option(60.0, "time limit for one step of one member, in seconds", above=0.0)
 
     def arguments(self) -> Sequence[str]:
         """Return the arguments after the command, for example values of this class's options."""

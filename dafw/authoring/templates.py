@@ -40,7 +40,7 @@ from dafw import PluginSpec, hookimpl
 @hookimpl
 def dafw_plugins():
     """Return the plugins of this package."""
-    return [PluginSpec("$kind", "$name", "dafw_$name.$name:$Class", "what it does")]
+    return [PluginSpec("$kind", "$name", "dafw_$name.$name:$Class", "one line for `dafw plugins`")]
 '''
 
 TEST = '''\
@@ -84,7 +84,7 @@ class $Class(Model):
 '''
 
 OBSERVER = '''\
-"""An observer to start from: reads the first entry of the state's first variable."""
+"""An observer to start from: reads the first number of the state's first variable."""
 
 from dataclasses import dataclass
 
@@ -95,17 +95,17 @@ from dafw import Observer, Selection, option
 
 @dataclass
 class $Class(Observer):
-    """One instrument that reads at every step."""
+    """One instrument with one reading in every cycle."""
 
     noise_sd: float = option(0.1, "standard deviation of the readings' noise", above=0.0)
 
     def operator(self, space, route, t):
-        """Return H and R of the one reading."""
+        """Return the observation operator: which entry of the state is read (H), and its error variance (R)."""
         return Selection(indices=np.array([0]), covariance=np.array([self.noise_sd**2]))
 '''
 
 POLICY = '''\
-"""A policy to start from: every vehicle flies a full step in a random direction, or stays where that is blocked."""
+"""A policy to start from: every vehicle flies in a random direction, or stays if the way is blocked."""
 
 from dataclasses import dataclass
 
@@ -118,7 +118,7 @@ from dafw import Policy, Route, option
 class $Class(Policy):
     """A random walk."""
 
-    step: float = option(1.0, "share of what a vehicle can fly", minimum=0.0, maximum=1.0)
+    step: float = option(1.0, "flight length, as a fraction of the longest possible", minimum=0.0, maximum=1.0)
 
     def decide(self, belief, vehicle, rng):
         """Return the route until the next decision."""
@@ -143,12 +143,14 @@ from dafw import Analysis, Filter, option, whiten
 
 @dataclass
 class $Class(Filter):
-    """Every member meets the readings with an error of its own."""
+    """Every member is compared with the readings plus a random error of its own."""
 
     inflation: float = option(1.0, "factor on the forecast anomalies", minimum=1.0)
 
     def analyse(self, forecast, predicted, observation, rng):
-        """Return mean + A + (dy - Y) (Y^T Y + (N - 1) I)^-1 Y^T A: A and Y inflated, Y, dy in units of the errors."""
+        """Return the analysis: mean + A + (dy - Y) (Y^T Y + (N - 1) I)^-1 Y^T A."""
+        # A (N, n): inflated anomalies of the members. Y (N, m): inflated anomalies of the predicted readings.
+        # dy (N, m): perturbed readings minus the mean prediction. Y and dy are scaled so that the errors have R = I.
         Y = self.inflation * whiten(observation.covariance, predicted - predicted.mean(0))
         dy = whiten(observation.covariance, observation.values - predicted.mean(0)) + rng.standard_normal(Y.shape)
         gain = np.linalg.solve(Y.T @ Y + (len(Y) - 1) * np.eye(Y.shape[1]), Y.T @ forecast.anomalies)
@@ -156,7 +158,7 @@ class $Class(Filter):
 '''
 
 READINGS = '''\
-"""A source of readings to start from: one sensor that says something at the end of every cycle."""
+"""A source of readings to start from: one sensor that is read at the end of every cycle."""
 
 from dataclasses import dataclass
 
@@ -173,11 +175,11 @@ class $Class(Readings):
     noise_sd: float = option(0.1, "standard deviation of the sensor's error", above=0.0)
 
     def measured(self, time):
-        """Return what the sensor said at a time in seconds: ask your instrument, or look it up in your file."""
+        """Return the sensor's value at a time in seconds. Put your own instrument or file here."""
         return 1.0 + np.sin(time)
 
     def take(self, request, rng):
-        """Return the readings that became known in the cycle that ends at request.end; here it is one."""
+        """Return the readings that became known in the cycle that ends at request.end: here always one."""
         operator = Selection(indices=np.array([self.entry]), covariance=np.array([self.noise_sd**2]))
         return [Observation(np.array([self.measured(request.end)]), operator, request.end)]
 '''

@@ -92,7 +92,7 @@ def run_on_all_ranks(command: Callable[[Any], tuple[int, str]], words: Sequence[
     launcher, rank, size = launched()
     if size == 0:
         expected = f"expected the mpirun of dafw's own environment, or none of {', '.join(RANKS)} for a run alone"
-        return _say(2, f"rank {rank} of a launcher that says not how many processes there are: {expected}", rank - 1)
+        return _say(2, f"rank {rank} of a launcher that does not give the number of processes: {expected}", rank - 1)
     if words[0] != "run":
         return _say(2, f"'dafw {words[0]}' works in one process: mpirun is for 'dafw run'", rank)
     with warnings.catch_warnings(action="ignore", category=RuntimeWarning):  # about another mpirun; reported below

@@ -8,7 +8,7 @@ from dafw.core.errors import ConfigurationError
 
 
 class Parser(argparse.ArgumentParser):
-    """Raises ConfigurationError where argparse would print its usage and exit."""
+    """Raises ConfigurationError if argparse would print its usage and exit."""
 
     def error(self, message: str) -> None:  # type: ignore[override]
         """Raise ConfigurationError with a one-line message."""

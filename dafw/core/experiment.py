@@ -25,7 +25,7 @@ NAME = re.compile(r"[\w.-]{1,100}")
 class VehicleOptions:
     """The vehicles of a study."""
 
-    start: list[list[float]] = option([], "where the vehicles are at t = 0, [[x, y], ...] in metres")
+    start: list[list[float]] = option([], "positions of the vehicles at t = 0, [[x, y], ...] in metres")
     speed: float = option(10.0, "speed of every vehicle in m/s", minimum=0.0)
 
 
@@ -33,31 +33,35 @@ class VehicleOptions:
 class RecordOptions:
     """What ``run.nc`` keeps beyond means and spreads."""
 
-    members: str = option("parameters", "state variables of which every member is kept", choices=RECORDED)
+    members: str = option(
+        "parameters",
+        "state variables whose members are all recorded: single numbers (parameters), all, or none",
+        choices=RECORDED,
+    )
 
 
 @dataclass
 class StudyOptions:
     """Everything that a study's configuration may say."""
 
-    name: str = option("study", "name of the study, for folders and titles")
+    name: str = option("study", "name of the study, used for folders and titles")
     seed: int = option(0, "seed of every random stream", minimum=0, maximum=2**63 - 1)
     members: int = option(10, "number N of ensemble members", minimum=1)
     cycles: int = option(100, "number of cycles", minimum=1)
-    model: dict[str, Any] = option({}, "the model's name and options")
-    truth: dict[str, Any] | None = option({}, "options in which the truth differs from the model; null: no truth")
-    free: dict[str, Any] | None = option({}, "options in which the free run differs from the model; null: no free run")
-    observer: dict[str, Any] = option({}, "the observer's name and options")
-    policy: dict[str, Any] = option({}, "the policy's name and options")
-    filter: dict[str, Any] = option({}, "the filter's name and options")
-    readings: dict[str, Any] = option({"name": "twin"}, "the name and options of where the readings come from")
-    executor: dict[str, Any] = option({"name": "serial"}, "the name and options of what steps the members")
+    model: dict[str, Any] = option({}, "name and options of the model")
+    truth: dict[str, Any] | None = option({}, "options of the truth that differ from the model's; null: no truth")
+    free: dict[str, Any] | None = option({}, "options of the free run that differ from the model's; null: no free run")
+    observer: dict[str, Any] = option({}, "name and options of the observer")
+    policy: dict[str, Any] = option({}, "name and options of the policy")
+    filter: dict[str, Any] = option({}, "name and options of the filter")
+    readings: dict[str, Any] = option({"name": "twin"}, "name and options of the source of readings")
+    executor: dict[str, Any] = option({"name": "serial"}, "name and options of the executor, which steps the members")
     late_readings: str = option(
         "drop",
-        "a reading that comes too late for the filter to look back to: drop it, or use it now",
+        "a reading that arrives too late for the filter's window: drop it, or use it as if it were taken now",
         choices=LATE_CHOICES,
     )
-    score_truth: bool = option(False, "make the truth to score against it, although the readings do not come from it")
+    score_truth: bool = option(False, "compute the truth for the scores, even if the readings do not come from it")
     vehicle: VehicleOptions = field(default_factory=VehicleOptions)
     record: RecordOptions = field(default_factory=RecordOptions)
     section: list[list[float]] = option([], "corners [[x, y], ...] of the polyline of the section picture, in metres")

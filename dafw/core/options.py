@@ -247,7 +247,7 @@ def merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any
 
 
 def describe(cls: type, prefix: str = "") -> list[Described]:
-    """List the options of ``cls``, nested ones under dotted names; raises OptionError where a default is wrong."""
+    """List the options of ``cls``, nested ones under dotted names; raises OptionError if a default is wrong."""
     listed: list[Described] = []
     for f, hint in _option_fields(cls):
         if _is_group(hint):

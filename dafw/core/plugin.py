@@ -48,7 +48,7 @@ class Plugin:
     def from_options(cls, **options: Any) -> Self:
         """Make the plugin from plain values, nested mappings for groups of options, as a configuration does.
 
-        Raises OptionError where an option is unknown, of the wrong type or out of range.
+        Raises OptionError if an option is unknown, of the wrong type or out of range.
         """
         return build(cls, options, f"{cls.kind} '{cls.__name__}'")
 
@@ -86,7 +86,7 @@ class Plugin:
         return values
 
     def checked_members(self, array: Any, shape: tuple[int, ...], what: str, space: StateSpace) -> Array:
-        """Return members as ``checked`` does; raises DivergenceError where they are far beyond what is plausible."""
+        """Return members as ``checked`` does; raises DivergenceError if they are far beyond what is plausible."""
         values = np.asarray(array)
         agreed = values.dtype == np.float64 and values.shape == shape
         # Unless there are very large numbers, one sum of squares shows that all are finite and plausible.
@@ -116,13 +116,13 @@ def described(space: StateSpace, members: Array) -> str:
 
 
 def require_sense(plugin: Plugin, space: StateSpace, members: Array) -> None:
-    """Raise DivergenceError where one of the members (N, n), which are finite, is far beyond what is plausible."""
+    """Raise DivergenceError if one of the members (N, n), which are finite, is far beyond what is plausible."""
     if space.exceeds(members, SENSELESS):
         member, entry = space.farthest(members)
         what, value = space.place_of(entry), members[member, entry]
         with about_member(member):
             raise DivergenceError(
-                f"{plugin.label}: the numbers have left all sense: {what}, {value:.6g}, is "
+                f"{plugin.label}: the numbers have diverged: {what}, {value:.6g}, is "
                 f"{space.excess(members):.3g} times the largest value that is plausible"
             )
 

@@ -146,7 +146,7 @@ class Registry:
         return "".join(f"; package {problem.package}: {problem.message}" for problem in self.problems)
 
     def options(self, kind: str, name: str) -> list[Described]:
-        """List the options of a plugin; raises PluginError where its class declares them wrongly."""
+        """List the options of a plugin; raises PluginError if its class declares them wrongly."""
         try:
             return describe(self.plugin_class(kind, name))
         except OptionError as error:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 def open_run(path: str | Path) -> xarray.Dataset:
     """Open a run's folder, or its ``run.nc``, as a lazy Dataset; this works also while the run goes on.
 
-    Raises RunError where there is no run or the file cannot be read.
+    Raises RunError if there is no run or the file cannot be read.
     """
     import xarray
 

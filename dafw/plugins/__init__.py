@@ -14,10 +14,10 @@ def dafw_plugins() -> list[PluginSpec]:
     return [
         PluginSpec("model", "ad", f"{dispersion}:AdvectionDiffusion", "a gas in a given uniform wind"),
         PluginSpec("model", "ad_ins", f"{dispersion}_ins:AdvectionDiffusionINS", "a gas in the wind among buildings"),
-        PluginSpec("model", "lorenz96", f"{_HERE}.models.lorenz96:Lorenz96", "chaos on a circle"),
+        PluginSpec("model", "lorenz96", f"{_HERE}.models.lorenz96:Lorenz96", "chaotic variables on a circle"),
         PluginSpec("model", "linear_advection", f"{_HERE}.models.linear_advection:LinearAdvection", "waves on a ring"),
         PluginSpec("observer", "drone", f"{_HERE}.observers.drone:Drone", "reads the nodes a vehicle passes"),
-        PluginSpec("observer", "stations", f"{_HERE}.observers.stations:Stations", "reads fixed places"),
+        PluginSpec("observer", "stations", f"{_HERE}.observers.stations:Stations", "reads at fixed positions"),
         PluginSpec("observer", "grid", f"{_HERE}.observers.grid:Grid", "reads fixed entries of a variable"),
         PluginSpec("observer", "composite", f"{_HERE}.observers.composite:Composite", "several observers at once"),
         PluginSpec("observer", "none", f"{_HERE}.observers.none:NoObserver", "reads nothing"),
@@ -31,7 +31,9 @@ def dafw_plugins() -> list[PluginSpec]:
         PluginSpec("filter", "enks", f"{_HERE}.filters.enks:EnKS", "ensemble Kalman smoother, fixed lag or interval"),
         PluginSpec("readings", "twin", f"{_HERE}.readings.twin:Twin", "what the observer reads of a truth, with noise"),
         PluginSpec("readings", "listed", f"{_HERE}.readings.listed:Listed", "a list of readings with their times"),
-        PluginSpec("executor", "serial", "dafw.core.executors.serial:Serial", "members one after the other, here"),
-        PluginSpec("executor", "processes", "dafw.core.executors.processes:Processes", "worker processes, here"),
-        PluginSpec("executor", "dask", "dafw.core.executors.dask_cluster:Dask", "workers of a dask cluster"),
+        PluginSpec("executor", "serial", "dafw.core.executors.serial:Serial", "steps members in this process"),
+        PluginSpec(
+            "executor", "processes", "dafw.core.executors.processes:Processes", "steps members in worker processes"
+        ),
+        PluginSpec("executor", "dask", "dafw.core.executors.dask_cluster:Dask", "steps members on a dask cluster"),
     ]

@@ -156,7 +156,7 @@ class _Run:
             warn_once(self.summary.warned, what, f"t = {time:g} s: {text}")
 
     def end(self, status: str, error: str = "") -> None:
-        """Close the record and say how the run ended; raises RecordError where that cannot be written."""
+        """Close the record and say how the run ended; raises RecordError if that cannot be written."""
         try:
             with self._writing():
                 if self.record is not None:

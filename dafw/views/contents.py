@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def require(run: Dataset, purpose: str, *names: str) -> None:
-    """Raise RunError where variables that ``purpose`` needs are missing."""
+    """Raise RunError if variables that ``purpose`` needs are missing."""
     missing = [name for name in names if name not in run.variables]
     if missing:
         raise RunError(f"{purpose} needs {', '.join(missing)}, which this run does not hold")

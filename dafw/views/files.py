@@ -31,7 +31,7 @@ def draw_all(run: Dataset, folder: Path) -> list[Path]:
 
     A truth gives err.png, readings give innovations.png. A field on a mesh gives route.png, contours.png and (with a
     polyline) section.png; a state without coordinates gives state.png; scalars of the state give parameters.png. Raises
-    RunError where ``run`` is not a run of dafw.
+    RunError if ``run`` is not a run of dafw.
     """
     scored = run[f"{scored_variable(run)}_mean"]
     one = {"belief": run}

@@ -1,4 +1,4 @@
-"""The kit passes what is right and catches what is broken, each fault by the check that is meant for it."""
+"""The kit passes correct plugins and finds every fault of broken plugins by the check that is meant for it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from dafw.plugins.filters.none import NoFilter
 from dafw.testing import CHECKS, ConformanceError, check_filter, run_checks
 
 ALL = [(kind, name) for kind, checks in CHECKS.items() for name in checks]
-# Whoever decides by whim cannot decide the same once more, for whatever reason it is asked.
+# A plugin whose result is random fails every check that repeats a call.
 IMPLIED = {
     ("policy", "determinism"): ["restart", "truth_blind"],
     ("readings", "determinism"): ["restart", "without_truth"],
@@ -33,7 +33,7 @@ IMPLIED = {
 
 @pytest.fixture(autouse=True)
 def nothing_left():
-    """End the processes that an executor leaves on purpose."""
+    """End the processes that an executor deliberately leaves."""
     yield
     for process in LeavesAProcess.started:
         process.kill()

@@ -1,4 +1,4 @@
-"""The examples in the docstrings of the public interface are right, and every public part has one."""
+"""The examples in the docstrings of the public interface are correct, and every public part has one."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ SPACE = StateSpace([Variable("level", 4, NONNEGATIVE)])
 
 
 def drain(members, t, dt, *, rate: float = 0.5, times: int = 1):
-    """Drain in place."""
+    """Reduce the numbers in place."""
     members *= (1.0 - rate * dt) ** times
     return members
 

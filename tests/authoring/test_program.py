@@ -1,4 +1,4 @@
-"""Models that are external programs: exact numbers through them, and every way in which a program can fail."""
+"""Models that are external programs: numbers are passed exactly, and every way in which a program can fail."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ def test_a_program_that_is_not_there():
 
 
 def at_work(note: Path, then: Callable[..., int]) -> Callable[..., int]:
-    """Return a ``Popen.wait`` that first waits until the slow program has said what it says."""
+    """Return a ``Popen.wait`` that first waits for the output of the slow program."""
 
     def wait(process: subprocess.Popen[bytes], timeout: float | None = None) -> int:
         until(note.exists, "the program's note")
@@ -133,7 +133,7 @@ def test_after_the_time_limit_it_is_killed_with_its_children_and_no_zombie_stays
         stepped(Shell(way="slow", note=str(note), time_limit=0.5))
     parent, child = map(int, note.read_text().split())
     assert ended([child]) and not (tmp_path / "child.done").exists()
-    with pytest.raises(ChildProcessError):  # nobody is left to be waited for
+    with pytest.raises(ChildProcessError):  # no child process is left
         os.waitpid(parent, os.WNOHANG)
 
 

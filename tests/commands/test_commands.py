@@ -1,4 +1,4 @@
-"""The command ``dafw``: help and lists answer at once; every command is there, also as ``python -m dafw``."""
+"""The command ``dafw``: help and lists load no heavy library; every command exists, also as ``python -m dafw``."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def test_every_command_is_in_the_usage_and_explains_itself(name, capsys):
     assert f"\n  {name} " in USAGE
     try:
         status = main([name, "--help"])
-    except SystemExit as end:  # argparse's
+    except SystemExit as end:  # argparse exits
         status = end.code
     assert not status
     assert f"dafw {name}" in capsys.readouterr().out

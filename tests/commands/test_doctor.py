@@ -1,4 +1,4 @@
-"""The doctor in broken worlds: nothing on PATH, a compiler that fails, missing libraries and packages."""
+"""``dafw doctor`` on broken machines: nothing on PATH, a compiler that fails, missing libraries and packages."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How dafw knows that it is one of several processes, and that it is not; nothing here starts any."""
+"""How dafw recognises whether it is one of several processes. These tests start no processes."""
 
 import os
 import subprocess
@@ -15,7 +15,7 @@ SEVERAL = {"SLURM_PROCID": "0", "SLURM_STEP_NUM_TASKS": "4"}
 
 @pytest.fixture(autouse=True)
 def task(monkeypatch):
-    """No launcher's variables, and where there are some of SLURM's, a task of srun."""
+    """No variables of any launcher; if a test sets SLURM's, the process is a task of srun."""
     for name in [name for name in os.environ if name.startswith(("PMI", "OMPI_", "SLURM_"))]:
         monkeypatch.delenv(name)
     monkeypatch.setattr(mpirun, "_is_task", lambda: True)
@@ -105,7 +105,7 @@ def test_tasks_that_do_not_see_each_other_are_refused_by_one_of_them(monkeypatch
 def test_ranks_of_an_unknown_number_are_refused_by_one_of_them(monkeypatch, capsys):
     monkeypatch.setenv("PMIX_RANK", "1")
     said = refused(capsys, ["run"])
-    assert said.startswith("dafw: rank 1 of a launcher that says not how many processes there are: expected the mpirun")
+    assert said.startswith("dafw: rank 1 of a launcher that does not give the number of processes: expected the mpirun")
     assert said.count("\n") == 1
     monkeypatch.setenv("PMIX_RANK", "2")
     assert refused(capsys, ["run"]) == ""

@@ -1,4 +1,4 @@
-"""``dafw new-plugin``: what it writes works, conforms and is small; nothing is ever overwritten."""
+"""``dafw new-plugin``: the plugins that it writes work, conform and are short; nothing is ever overwritten."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``dafw run``: every way to ask for a study composes the same one; what does not fit is refused with a hint."""
+"""``dafw run``: every way to choose a study composes the same study; parts that do not fit are refused with a hint."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ CHOSEN = {"name": "etkf", "inflation": 1.013, "rotation": True}  # of the experi
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """An empty working folder beside a folder with an experiment of its own."""
+    """An empty working folder, next to a folder with an experiment."""
     (tmp_path / "my" / "experiment").mkdir(parents=True)
     (tmp_path / "my" / "experiment" / "mine.yaml").write_text(MINE)
     (tmp_path / "work").mkdir()
@@ -34,7 +34,7 @@ def folder(tmp_path, monkeypatch):
 
 
 def composed(run: Path) -> dict:
-    """Return what Hydra noted of a run."""
+    """Return the configuration that Hydra stored for a run."""
     return yaml.safe_load((run / ".hydra" / "config.yaml").read_text())
 
 

@@ -1,4 +1,4 @@
-"""Functions that worker processes are told to call."""
+"""Functions for worker processes to call."""
 
 import os
 import signal
@@ -10,7 +10,7 @@ from dafw.core.workers import outcome, spare_cores
 
 
 def squared(number):
-    """Return the square and the process that found it; there is none of thirteen."""
+    """Return the square and the number of the process; thirteen is refused."""
 
     def square():
         if number == 13:

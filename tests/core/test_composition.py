@@ -1,4 +1,4 @@
-"""Composing studies: names and numbers only, everything wrong refused in one line before anything is computed."""
+"""Composing studies: only names and numbers; wrong configurations are refused in one line before any computation."""
 
 import copy
 from dataclasses import dataclass
@@ -104,7 +104,7 @@ def test_a_wrong_request_is_refused_in_one_line(overrides, message):
 
 @pytest.fixture
 def files(tmp_path):
-    """Return what writes an experiment of a folder of one's own, and returns the override that names the folder."""
+    """Return a function that writes experiments into a new folder and returns the override that names the folder."""
     (tmp_path / "experiment").mkdir()
 
     def write(**experiments):
@@ -122,7 +122,7 @@ def test_an_experiments_options_go_with_their_plugin_and_leave_with_it():
     assert study("policy=enie2d").policy == PAPER
     assert study("policy=stationary").policy == {"name": "stationary"}
     assert study("experiment=lorenz96", "filter=etkf").filter == {"name": "etkf", "inflation": 1.013, "rotation": True}
-    # not the inflation of the experiment's own filter, which has an option of the same name
+    # not the inflation of the experiment's filter, which has an option of the same name
     assert study("experiment=lorenz96", "filter=enkf").filter == {"name": "enkf", "inflation": 1.0}
     assert study("experiment=lorenz96_enkf", "filter=etkf", "filter.rotation=true").filter["inflation"] == 1.0
     assert study("experiment=lorenz96", "filter=enkf").observer["noise_sd"] == 1.0
@@ -172,10 +172,10 @@ def test_an_experiment_on_top_of_another_takes_its_own_plugins(files):
     mine = study(where, "experiment=mine")
     assert (mine.policy, mine.filter) == ({"name": "stationary"}, {"name": "enkf", "inflation": 3.0})
     assert (mine.truth["wind_speed"], mine.truth["transport"]) == (6, {"diffusion": 0.8})
-    # the options of the experiment below come back with their plugin; those of the one above leave with theirs
+    # options of the base experiment are used again with their plugin; those of the upper experiment are left out
     back = study(where, "experiment=mine", "policy=enie2d", "filter=etkf")
     assert back.policy == PAPER and back.filter["inflation"] == 1.0
-    # without a choice of its own, a file means the plugin that is there
+    # a file that chooses no plugin sets options of the plugin that is already chosen
     assert study(where, "experiment=plain").policy["theta"] == 0.5
     assert study(where, "experiment=plain", "policy=stationary").policy == {"name": "stationary"}
     fine = study(where, "experiment=fine")
@@ -202,7 +202,7 @@ def test_a_mistake_in_an_experiment_is_one_line_that_names_the_file(files):
 
 @dataclass
 class WithModel(Filter):
-    """Runs a model of its own."""
+    """A filter that has its own model."""
 
     model: dict[str, Any] = option({}, "the model's name and options")
 
@@ -218,14 +218,14 @@ def test_an_option_may_be_the_whole_of_another_part(monkeypatch, word):
 
 @dataclass
 class NoDefault(Filter):
-    """Its author meant no default by None."""
+    """The author used None for 'no default'."""
 
     gain: float = option(None, "a gain")
 
 
 @dataclass
 class NoPlainType(Filter):
-    """Its option is of a type that no configuration can hold."""
+    """An option has a type that no configuration can hold."""
 
     path: Path = option(REQUIRED, "a file")
 

@@ -1,4 +1,4 @@
-"""The one time loop: order, reproducibility, restart, and errors that say where."""
+"""The one time loop: order, reproducibility, restart, and errors that say where they happened."""
 
 import pickle
 from dataclasses import replace
@@ -41,7 +41,7 @@ def test_one_cycle_does_what_the_diagram_says():
     np.testing.assert_array_equal(cycle.state.truth.ensemble.members[0, :4], 3.0)
     np.testing.assert_array_equal(cycle.state.free.ensemble.members[0, :4], 2.0)
     np.testing.assert_array_equal(cycle.state.vehicle.positions, [[1.0, 0.0]])
-    # the reading is the truth's after the step, with noise of 0.1
+    # the reading is of the truth after the step, with noise of 0.1
     assert 0.0 < abs(cycle.observation.values[0] - 3.0) < 0.6
     np.testing.assert_array_equal(cycle.predicted[:, 0], cycle.forecast.members[:, 0])
     shift = 0.5 * (cycle.observation.values[0] - cycle.predicted.mean())
@@ -94,7 +94,7 @@ def test_a_study_needs_no_free_run():
 
 
 class FarAway(OneNode):
-    """Reads nothing at all."""
+    """An observer without readings."""
 
     def operator(self, space, route, t):
         full = super().operator(space, route, t)

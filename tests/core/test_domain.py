@@ -1,4 +1,4 @@
-"""The domain: what is free to fly."""
+"""The domain: where vehicles can fly."""
 
 import numpy as np
 import pytest

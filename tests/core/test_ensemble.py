@@ -1,4 +1,4 @@
-"""Values that travel through a cycle: moments and quantiles with and without weights, and what may be written to."""
+"""The values of a cycle: moments and quantiles with and without weights, and which arrays are read-only."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Executors: the same bits wherever members are stepped, and what becomes of workers that are lost or not wanted."""
+"""Executors: the same bits wherever members are stepped; lost workers are replaced, and none outlives its run."""
 
 import json
 import logging
@@ -30,7 +30,7 @@ N = 7
 
 @pytest.fixture(autouse=True)
 def installed(tmp_path, monkeypatch):
-    """Make the model `trouble` one that workers find in their registry."""
+    """Register the model `trouble` in this process and its workers."""
     install(tmp_path, monkeypatch)
 
 
@@ -88,7 +88,7 @@ def test_two_dask_clusters_of_this_machine_do_not_meet():
     one, other = (registry().create("executor", {"name": "dask", "workers": 1}) for _ in range(2))
     with one, other:
         one.start(model, {"name": "trouble"})
-        other.start(model, {"name": "trouble"})  # a port that is taken would be a warning, which is an error here
+        other.start(model, {"name": "trouble"})  # a port in use would give a warning, which is an error here
         assert one._client.scheduler.address != other._client.scheduler.address
 
 
@@ -201,7 +201,7 @@ def test_steps_that_do_not_fit_together_are_refused(steps, message):
             join(model, batches, stepped)
 
 
-# As users see it
+# Messages and behaviour that users see
 
 
 @pytest.mark.parametrize(
@@ -244,7 +244,7 @@ LORENZ = ["experiment=lorenz96", "pictures=false", "hydra.run.dir=run"]
     ("number", "whom", "executor"),
     [
         (signal.SIGTERM, os.kill, "processes"),
-        (signal.SIGINT, os.killpg, "processes"),  # what Ctrl-C does: it reaches the whole group
+        (signal.SIGINT, os.killpg, "processes"),  # like Ctrl-C, which signals the whole process group
         (signal.SIGKILL, os.kill, "processes"),
         (signal.SIGINT, os.killpg, "dask"),
     ],
@@ -283,7 +283,7 @@ def test_a_sweep_side_by_side_ends_like_any_other(tmp_path):
     words += [LORENZ[0], LORENZ[1], "cycles=2", "seed=0,1", "hydra.sweep.dir='a sweep'", "hydra.sweep.subdir=${seed}"]
     sweep = tmp_path / "a sweep"
     (sweep / "0").mkdir(parents=True)
-    (sweep / "0" / "run.nc").touch()  # a wrong request, found where the job runs
+    (sweep / "0" / "run.nc").touch()  # a wrong request that is found only when the job runs
     done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 2 and done.stderr.count("holds a run already") == 1, done.stderr
     assert done.stdout.splitlines()[-1] == str(sweep)

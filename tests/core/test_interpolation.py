@@ -1,4 +1,4 @@
-"""Values between nodes, and a truth of another kind as a belief sees it."""
+"""Values between nodes, and a truth of another kind interpolated to the belief's state space."""
 
 import numpy as np
 import pytest
@@ -93,7 +93,7 @@ def test_numbers_without_places_are_not_guessed_at():
 
 
 class Fine(Growth):
-    """The toy model on more nodes: gas that is a plane, and grows everywhere alike."""
+    """The toy model on more nodes: the gas is a linear function of the place and grows everywhere alike."""
 
     def initial(self, n_members, rng):
         return np.tile(self.space.pack({"gas": plane(FINE), "rate": self.rate}), (n_members, 1))

@@ -1,4 +1,4 @@
-"""What a killed process leaves in a cache goes, and nothing else."""
+"""Unfinished folders of killed processes in a cache are removed, and nothing else."""
 
 import logging
 import os
@@ -25,7 +25,7 @@ with making(Path(sys.argv[1])) as folder:
 
 @pytest.fixture
 def maker(tmp_path):
-    """A process that is making something in the folder ``deeper``, and what it works in."""
+    """A process that is making something in the folder ``deeper``, and its unfinished folder."""
     command = [sys.executable, "-c", MAKER, str(tmp_path / "deeper")]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         yield process, tmp_path.joinpath(process.stdout.readline().strip())
@@ -44,7 +44,7 @@ def test_what_a_killed_process_left_goes_with_the_next_and_not_before(tmp_path, 
     caplog.set_level(logging.INFO)
     process, left = maker
     with making(tmp_path):
-        assert (left / "half").exists()  # its process is at work
+        assert (left / "half").exists()  # its process still runs
     process.send_signal(signal.SIGKILL)
     process.wait()
     assert (left / "half").exists()
@@ -57,8 +57,8 @@ def test_what_another_machine_is_making_stays_until_it_is_old(tmp_path, maker, m
     process, left = maker
     process.kill()
     process.wait()
-    monkeypatch.setattr(module, "_machine", lambda: "0" * 12)  # where that number says nothing
-    foreign = tmp_path / "making-progress"  # none of ours
+    monkeypatch.setattr(module, "_machine", lambda: "0" * 12)  # another machine, with other process numbers
+    foreign = tmp_path / "making-progress"  # not a folder that ``making`` made
     foreign.mkdir()
     with making(tmp_path):
         assert left.exists()
@@ -72,4 +72,4 @@ def test_a_process_lives_until_it_was_waited_for():
     with subprocess.Popen([sys.executable, "-c", ""]) as process:
         assert alive(process.pid)
     assert not alive(process.pid)
-    assert alive(1)  # another user's, or our own
+    assert alive(1)  # process 1 may belong to another user or to us

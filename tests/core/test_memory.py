@@ -1,4 +1,4 @@
-"""A study that needs more memory than there is is refused before anything is made."""
+"""A study that needs more memory than is free is refused before anything is made."""
 
 from types import SimpleNamespace
 
@@ -17,7 +17,7 @@ RUN = ["run", "experiment=lorenz96", "pictures=false", "hydra.run.dir=run"]
 
 @pytest.fixture
 def machine(tmp_path, monkeypatch):
-    """A machine with 8 GB free that knows no control groups."""
+    """A machine with 8 GB free and without control groups."""
     monkeypatch.setattr(memory, "GROUPS", tmp_path / "groups")
     monkeypatch.setattr(memory, "OWN_GROUPS", tmp_path / "own")
     monkeypatch.setattr("psutil.virtual_memory", lambda: SimpleNamespace(available=8 * GB))
@@ -68,7 +68,7 @@ def test_what_fits_is_let_pass_and_the_most_expensive_thing_is_named(machine):
 
 @pytest.mark.parametrize("path", ["/", "/system/job"])
 def test_the_limit_of_a_container_counts(machine, path):
-    """Its own group is the topmost that it sees, or one below others."""
+    """The process's control group is the topmost visible one, or one below others."""
     (machine / "own").write_text(f"0::{path}\n")
     own = machine / "groups" / path.lstrip("/")
     write(own, memory__max=4 * GB, memory__current=3 * GB, memory__stat=f"anon 1\ninactive_file {2 * GB}")

@@ -1,4 +1,4 @@
-"""Options of plugins: typed, ranged, nested; refused with what is accepted."""
+"""Options of plugins: types, ranges, nesting; the error for a wrong one says what is accepted."""
 
 from dataclasses import dataclass, make_dataclass
 from typing import Any

@@ -1,4 +1,4 @@
-"""Priors: draws have the density that is stated."""
+"""Priors: draws have the stated density."""
 
 import numpy as np
 import pytest

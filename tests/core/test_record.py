@@ -1,4 +1,4 @@
-"""``run.nc``: what it holds, that it opens at any moment, that nothing is overwritten."""
+"""``run.nc``: its contents; it can be opened at any moment; nothing is overwritten."""
 
 import netCDF4
 import numpy as np
@@ -13,7 +13,7 @@ from dafw.core.record import Record
 
 
 class Still(Growth):
-    """Any state, and nothing happens to it."""
+    """A model with any state, which a step does not change."""
 
     def initial(self, n_members, rng):
         return np.ones((n_members, self.space.size))
@@ -173,7 +173,7 @@ def test_readings_of_changing_number_are_padded(tmp_path):
     record.close()
     with open_run(tmp_path) as run:
         assert run["observation_value"].count("observation").values.tolist() == [0, 1, 2, 1]
-        # the second of them reads the rate, which is no node
+        # the second reading is of the rate, which is not a node
         assert np.nan_to_num(run["observation_node"].values, nan=-1).tolist()[2] == [2, -1]
 
 

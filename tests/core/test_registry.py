@@ -1,4 +1,4 @@
-"""The registry: one door for all packages, and clear words where one of them is broken."""
+"""The registry: plugins of all packages, and clear errors if a package is broken."""
 
 import sys
 import types
@@ -21,7 +21,7 @@ BUILT_IN = list(entry_points(group="dafw", name="builtin"))
 
 @dataclass(frozen=True)
 class FakeEntry:
-    """An entry point that loads what it is told to, or fails."""
+    """An entry point that loads a given object, or fails."""
 
     name: str
     loaded: object

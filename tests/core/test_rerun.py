@@ -1,4 +1,4 @@
-"""Running the model again: a replay has the belief's bits, planning has streams of its own, many runs at once."""
+"""Running the model again: a replay has the belief's bits, planning has its own random streams, many runs at once."""
 
 from dataclasses import dataclass
 
@@ -36,7 +36,7 @@ TWO_NODES = Selection(indices=np.array([0, 2]), covariance=np.ones(2))
 
 
 class Blind(Nudge):
-    """Leaves the belief as it is, so that a replay can be held against it."""
+    """Does not change the belief, so that a replay can be compared with it."""
 
     def analyse(self, forecast, predicted, observation, rng):
         return Analysis(forecast.members)
@@ -98,7 +98,7 @@ def test_any_number_of_members_runs_and_the_model_makes_their_memory():
     replay = parts.rerun(three, 0, 2)
     assert replay.forecast.ensemble.members.shape == (3, 5)
     np.testing.assert_array_equal(replay.forecast.memory["steps"], 2.0)
-    # a member's stream goes by its number: the first has the errors that it had
+    # a member's stream depends on its number: the first member has the same errors as before
     np.testing.assert_array_equal(
         replay.forecast.ensemble.members[0], parts.rerun(belief, 0, 2).forecast.ensemble.members[0]
     )
@@ -127,7 +127,7 @@ def test_a_re_run_that_means_nothing_is_refused(first, last, operators, message)
 
 
 class Filling(Growth):
-    """Its gas at the start is ten times the rate."""
+    """The gas at the start is ten times the rate."""
 
     def settled(self, members):
         settled = members.copy()
@@ -147,7 +147,7 @@ def test_fields_at_the_start_follow_from_single_numbers_where_the_model_says_so(
 
 @pytest.fixture
 def trouble(tmp_path, monkeypatch):
-    """Return the model `trouble`, made one that workers find in their registry, and seven members of it."""
+    """Register the model `trouble` for this process and its workers; return it and seven of its members."""
     install(tmp_path, monkeypatch)
     model = Trouble()
     model.name = "trouble"
@@ -163,7 +163,7 @@ def test_several_runs_are_under_way_at_once_and_each_gets_its_own_numbers(troubl
         executor.start(model, {"name": "trouble"})
         rerun = Rerun(model, executor, Streams(4))
         under_way = {number: rerun.begin(one, 0, number + 1) for number, one in ones.items()}
-        found = {number: under_way[number]() for number in (2, 0, 3)}  # in another order, and one never
+        found = {number: under_way[number]() for number in (2, 0, 3)}  # fetched in another order, and one not at all
     for number, replay in found.items():
         assert replay.forecast.ensemble.members.tobytes() == expected[number].forecast.ensemble.members.tobytes()
         np.testing.assert_array_equal(replay.forecast.memory["way"], expected[number].forecast.memory["way"])
@@ -230,7 +230,7 @@ def test_members_of_another_state_are_refused():
 
 @dataclass
 class Restart(Filter):
-    """Runs the first guess again from the start, moved by what the last reading missed, and hands the past back."""
+    """Shifts the first guess by the last innovation, runs it again, and returns revised beliefs."""
 
     window: int | None = None
 

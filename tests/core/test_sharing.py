@@ -1,4 +1,4 @@
-"""What the models of one run share: it is made once for them, and never for others."""
+"""Objects that the models of one run share: each is made once a run, and not shared with other runs."""
 
 from dataclasses import dataclass, field
 
@@ -19,7 +19,7 @@ def test_a_thing_is_made_once_for_a_name():
 
 @dataclass
 class Asked(Growth):
-    """Keeps every ``Shared`` that it is handed."""
+    """Keeps every ``Shared`` that it is given."""
 
     handed: list[Shared] = field(default_factory=list)
 

@@ -1,4 +1,4 @@
-"""The state space: averages, differences and moves that respect what the numbers mean."""
+"""The state space: averages, differences and changes that respect the kinds of the variables."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Studies made of objects: what is refused at once, and the two ways to own the loop."""
+"""Studies made of objects: wrong requests are refused at once; the two ways to write one's own loop."""
 
 from dataclasses import dataclass
 
@@ -44,7 +44,7 @@ def test_parts_that_are_none_are_refused_when_the_study_is_made(changes, message
 
 @dataclass
 class Odd(Filter):
-    """A filter whose field is no option: nobody holds it to a range."""
+    """A filter with a field that is not an option and has no range."""
 
     factor: object = None
     size: int = option(1, "a size", minimum=1)

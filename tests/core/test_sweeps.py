@@ -1,4 +1,4 @@
-"""One dataset over a multirun: typed dimensions, what is missing tolerated, nothing read before it is asked for."""
+"""One dataset over a multirun: typed dimensions, missing runs tolerated, nothing read before it is used."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SMALL = ["experiment=lorenz96", "pictures=false", "cycles=2", "model.spinup=10",
 
 @pytest.fixture(scope="module")
 def swept(tmp_path_factory):
-    """Return what runs a multirun, small where it is not told otherwise, and gives its folder."""
+    """Return a function that runs a multirun, by default of small runs, and returns its folder."""
 
     def run(*words):
         folder = tmp_path_factory.mktemp("sweep") / "it"
@@ -32,19 +32,19 @@ def swept(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def mixed(swept):
-    """Return a multirun over plugins, whole numbers and real ones."""
+    """Return a multirun over plugins, integers and real numbers."""
     return swept("filter=etkf,enkf", "seed=3,1", "filter.inflation=1,1.05")
 
 
 def single(folder, **chosen):
-    """Return the one run of a multirun whose folder names all that was chosen."""
+    """Return the folder of the one run with the chosen values."""
     wanted = {f"{name}={value}" for name, value in chosen.items()}
     (found,) = [run for run in folder.glob("*/") if wanted <= set(run.name.split(","))]
     return found
 
 
 def copy_of(folder, tmp_path):
-    """Return a copy that may be damaged."""
+    """Return a copy, which a test may damage."""
     return Path(shutil.copytree(folder, tmp_path / "copy"))
 
 

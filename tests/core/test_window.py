@@ -1,4 +1,4 @@
-"""What filters that look back are handed and may hand back; weights; late readings; policies that look ahead."""
+"""Arguments and results of filters that look back; weights; late readings; policies that look ahead."""
 
 import pickle
 from dataclasses import dataclass, field, replace
@@ -28,7 +28,7 @@ NODE_0 = Selection(indices=np.array([0]), covariance=np.array([0.01]))
 
 @dataclass
 class Watching(Filter):
-    """Keeps the windows that it is handed, and nudges the present."""
+    """Keeps the windows that it is given, and nudges the present."""
 
     window: int | None = None
     seen: list = field(default_factory=list)
@@ -51,7 +51,7 @@ class First(Watching):
 
 @dataclass
 class Scripted(Readings):
-    """Hands out observations (time, value) of node 0 in the cycles that it is told."""
+    """Returns given observations (time, value) of node 0 in given cycles."""
 
     script: dict = field(default_factory=dict)
 
@@ -80,7 +80,7 @@ SILENT = {cycle: readings for cycle, readings in EVERY.items() if cycle not in (
 def test_a_window_since_the_start_holds_all_cycles_silent_ones_too():
     filter_ = Watching()
     done = fly(no_truth(filter_, SILENT, model=Counting(spread=0.5, noise=0.1)), 6)
-    assert [len(window.cycles) for window in filter_.seen] == [1, 3, 5, 6]  # asked where there was something to read
+    assert [len(window.cycles) for window in filter_.seen] == [1, 3, 5, 6]  # called only in cycles with readings
     last = filter_.seen[-1]
     assert [cycle.number for cycle in last.cycles] == list(range(6))
     assert [cycle.observation.values.tolist() for cycle in last.cycles] == [[1.0], [], [3.0], [], [5.0], [6.0]]
@@ -239,7 +239,7 @@ def test_a_late_reading_finds_its_cycle_after_many_rounded_steps():
     times = np.cumsum(np.full(100_000, 0.1))
     for cycle in (99_999, 54_321, 77):
         request = Request(cycle, times[cycle - 1], times[cycle], toy_parts().model.space, None, NODE_0)
-        exact = Observation(np.array([1.0]), NODE_0, round(cycle * 0.1, 1))  # the end of the cycle before, as read
+        exact = Observation(np.array([1.0]), NODE_0, round(cycle * 0.1, 1))  # end of the cycle before, rounded
         sorted_ = sort_by_cycle([exact], request, 0.1, [cycle - 1, cycle], "drop")
         assert [number for number, _ in sorted_.late] == [cycle - 1]
 
@@ -316,7 +316,7 @@ def test_a_policy_that_looks_ahead_runs_the_belief_on_with_its_memory():
     np.testing.assert_array_equal(states[-1].memory["steps"], 3.0)
     assert [state.ensemble.time for state in states] == [4.0, 6.0]
     np.testing.assert_array_equal(read.predicted[2][:, 0], states[-1].ensemble.members[:, 0])
-    # model errors of a plan are not those that the belief will meet
+    # the model errors of a plan are not those of the belief
     assert not np.array_equal(states[0].ensemble.members, done[1].forecast.members)
 
 
@@ -331,7 +331,7 @@ def test_planning_leaves_the_run_as_it_is():
     assert one.state.belief.ensemble.members.tobytes() == other.state.belief.ensemble.members.tobytes()
 
 
-# What goes with a route, an operator and an ensemble
+# Values that belong to a route, an operator and an ensemble
 
 
 def test_an_observer_is_told_how_long_the_route_takes_and_may_report():
@@ -355,7 +355,7 @@ def test_places_in_three_dimensions_are_refused_and_not_cut_to_two(make):
 def test_what_is_frozen_is_the_ensembles_own():
     members = np.ones((2, 5))
     ensemble = Ensemble(members, Growth().space)
-    members[0, 0] = 7.0  # the caller's array stays the caller's
+    members[0, 0] = 7.0  # the caller can still write to the array
     assert ensemble.members[0, 0] == 1.0 and not ensemble.members.flags.writeable
     view = Ensemble(NODES.ravel()[:5][np.newaxis], Growth().space)
     assert NODES.flags.writeable and view.members.shape == (1, 5)

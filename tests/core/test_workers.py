@@ -1,4 +1,4 @@
-"""Worker processes: they do what they are told, are replaced where they are lost, and none is left over."""
+"""Worker processes: they run functions, are replaced if they are lost, and none is left over."""
 
 import os
 import signal

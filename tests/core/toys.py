@@ -1,4 +1,4 @@
-"""Small parts of a study whose behaviour is plain to see."""
+"""Small parts of a study with simple behaviour."""
 
 from dataclasses import dataclass, field
 
@@ -58,7 +58,7 @@ class OneNode(Observer):
 
 @dataclass
 class Hop(Policy):
-    """Flies one metre east, or a random way."""
+    """Flies one metre east, or in a random direction."""
 
     random: bool = False
 
@@ -69,7 +69,7 @@ class Hop(Policy):
 
 @dataclass
 class Nudge(Filter):
-    """Moves the whole belief half way to the reading."""
+    """Moves all members by half of the innovation."""
 
     def analyse(self, forecast, predicted, observation, rng):
         shift = np.zeros(forecast.space.size)

@@ -1,4 +1,4 @@
-"""A model that worker processes can find, and that goes wrong when it is told to."""
+"""A model that worker processes can find, and that fails on request."""
 
 import os
 import signal
@@ -17,7 +17,7 @@ from dafw.core.options import option
 
 @dataclass
 class Trouble(Model):
-    """Members know their number (state 0) and walk at random (states 1 and 2), remembering how far they went."""
+    """State 0 is the member's number, states 1 and 2 are a random walk; the memory is the distance walked."""
 
     kind_of: str = option("none", "what goes wrong at t = 1 s with member 3")
     marker: str = option("", "file that says that it went wrong once already, or has slept enough")

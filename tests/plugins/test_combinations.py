@@ -1,4 +1,4 @@
-"""Every combination of built-in parts: it runs to its end, or it is refused in one line before anything is computed."""
+"""Every combination of built-in parts either runs to its end or is refused in one line before anything is computed."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ SMALL = {
 members."""
 
 READS = {"linear_advection": "u", "lorenz96": "x"}
-"""What observers and policies look at where that is not the concentration."""
+"""The state variable for observers and policies, if it is not the concentration."""
 
 PLACES = "no coordinates in the plane"
 MISFITS = {
     ("model", "observer"): {
-        (model, observer): PLACES  # numbers on a circle: nothing to fly to, nowhere to stand
+        (model, observer): PLACES  # variables without coordinates: there are no places to fly to or for stations
         for model in ("linear_advection", "lorenz96")
         for observer in ("drone", "stations", "composite")
     },
     ("model", "policy"): {(model, "enie2d"): PLACES for model in ("linear_advection", "lorenz96")},
     ("model", "filter"): {(model, "kalman"): "filter 'kalman'" for model in ("ad", "ad_ins")},  # bounded; N < n
 }
-"""What does not fit together, and what the refusal says."""
+"""Parts that do not fit together, and the message of the refusal."""
 
 
 def built_in(kind):
@@ -44,7 +44,7 @@ def built_in(kind):
 
 
 def options(kind, name, variable):
-    """Return the configuration of a part that looks at ``variable``."""
+    """Return the configuration of a part that uses ``variable``."""
     made = {"name": name, **registry().plugin_class(kind, name).check_options()}
     if name == "stations":
         made["positions"] = [[-6.0, -30.0]]

@@ -1,4 +1,4 @@
-"""A belief that leaves all sense: a warning, once, and then an end that says which number it is."""
+"""A belief that diverges: one warning, and then an error that names the number that is too large."""
 
 import json
 import re
@@ -20,7 +20,7 @@ def summary(folder):
 
 
 class Doubling(Model):
-    """Two numbers of which one doubles in every step."""
+    """Two numbers; one doubles in every step."""
 
     space = StateSpace([Variable("still", 1), Variable("growing", 2, plausible=10.0)])
     dt = 1.0
@@ -33,7 +33,7 @@ class Doubling(Model):
 
 
 class Still(Doubling):
-    """Nothing grows."""
+    """A model whose numbers do not change."""
 
     def step(self, members, t, rng):
         return members
@@ -49,7 +49,7 @@ class Pushing(Filter):
 
 
 class Singular(Filter):
-    """Its linear algebra fails in the third analysis."""
+    """A filter whose linear algebra fails in the third analysis."""
 
     def analyse(self, forecast, predicted, observation, rng):
         if forecast.time == 3.0:
@@ -67,7 +67,7 @@ def test_a_model_that_runs_away_is_warned_of_once_and_ended(tmp_path, capsys):
         dafw.run(study(Doubling(), NoFilter()), tmp_path / "run")
     # 1.2 times 2^4 is above 10, 1.2 times 2^14 above a thousand times 10.
     assert str(caught.value).startswith(
-        "at t = 13 s, phase 'forecast': member 2: model 'Doubling': the numbers have left all sense: 'growing' at "
+        "at t = 13 s, phase 'forecast': member 2: model 'Doubling': the numbers have diverged: 'growing' at "
         "node 1, 19660.8, is 1.97e+03 times the largest value that is plausible; 13 of 40 cycles are kept in "
     )
     warning = "t = 4 s: filter 'NoFilter' has diverged: 'growing' at node 1 of member 2 is 19.2, more than the model"
@@ -123,7 +123,7 @@ def test_a_cloud_that_grows_without_end_is_ended_long_before_numbers_overflow(tm
     with pytest.raises(DivergenceError) as caught:
         gas(2000, tmp_path / "run")
     said = re.search(
-        r"^at t = \d+ s, phase '\w+': member [0-3]: \w+ '\w+': the numbers have left all sense: 'concentration' at "
+        r"^at t = \d+ s, phase '\w+': member [0-3]: \w+ '\w+': the numbers have diverged: 'concentration' at "
         r"node \d+, ([0-9.e+]+), is",
         str(caught.value),
     )

@@ -1,4 +1,4 @@
-"""How a run ends that fails: one line that names the plugin, the right exit status, a closed record, a true summary."""
+"""How a failed run ends: one line that names the plugin, the right exit status, a closed record, a correct summary."""
 
 import errno
 import json
@@ -31,7 +31,7 @@ def here(tmp_path, monkeypatch):
 
 
 def failing(name, error=ValueError, when=lambda self: True, otherwise=None):
-    """Return a method of that name that raises an error where ``when`` says so."""
+    """Return a method of that name that raises an error if ``when`` returns true."""
 
     def method(self, *arguments):
         if when(self):
@@ -73,7 +73,7 @@ def test_a_check_that_a_plugin_breaks_in_is_one_line_before_anything_is_made(cls
 
 
 class Walk(Model):
-    """One number that walks at random."""
+    """A random walk of one number."""
 
     space, dt = StateSpace([Variable("x", 1)]), 1.0
 
@@ -222,7 +222,7 @@ def test_an_interrupted_run_is_a_keyboard_interrupt(monkeypatch):
 
 
 class Rank:
-    """One of two ranks: what rank 0 tells the others is kept for them."""
+    """One of two ranks; messages of rank 0 are kept for the others."""
 
     told: ClassVar[list[bool]] = []
 
@@ -238,7 +238,7 @@ class Rank:
 def test_of_several_ranks_the_first_looks_whether_the_folder_is_free():
     refuse_run(Path("run"), Rank(0))
     Path("run").mkdir()
-    Path("run", "summary.json").touch()  # rank 0 was quick
+    Path("run", "summary.json").touch()  # rank 0 was first
     refuse_run(Path("run"), Rank(1))
     for rank in (0, 1):
         with pytest.raises(RunError, match="holds a run already"):

@@ -1,4 +1,4 @@
-"""What a run says on its way and at its end, with and without a truth, a free run and readings."""
+"""Log, progress and closing line of a run, with and without a truth, a free run and readings."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -48,7 +48,7 @@ def study(**changes):
 
 
 def closed(folder, **changes):
-    """Return the closing line of a study, without how long it took, and the lines of its log."""
+    """Return the closing line of a study without its duration, and the lines of its log."""
     made = study(**changes)
     line = closing_line(made, run_study(made, folder))
     log = (folder / "run.log").read_text().splitlines()

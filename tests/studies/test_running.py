@@ -1,4 +1,4 @@
-"""Runs as their users see them: files, exit status, interruption, the last line of output."""
+"""Runs as users see them: files, exit status, interruption, the last line of output."""
 
 import json
 import signal
@@ -15,7 +15,7 @@ from dafw.commands import main
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """An empty working folder with a quick experiment of its own."""
+    """An empty working folder and a quick experiment."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "my" / "experiment").mkdir(parents=True)
     study = {
@@ -91,7 +91,7 @@ def test_the_python_interface_gives_the_dataset(folder):
 
 
 def refused(words, capsys, message):
-    """Say whether a command ends with status 2 and one clear line, and leaves nothing behind."""
+    """Check that a command ends with status 2 and a one-line message, and leaves no files."""
     assert main(words) == 2
     captured = capsys.readouterr()
     lines = captured.err.strip().splitlines()
@@ -199,7 +199,7 @@ def test_a_picture_that_cannot_be_drawn_does_not_spoil_the_run(folder, capsys, m
 
 
 def halting(folder):
-    """Start the quick study in another process, and give it where it waits in cycle HALT."""
+    """Start the quick study in another process; yield the process when it waits in cycle HALT."""
     words = ["-m", "dafw", *RUN, "policy=halting", f"policy.folder={folder / 'halt'}", "cycles=100000"]
     return halted([*words, "hydra.run.dir=run"], folder)
 

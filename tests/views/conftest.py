@@ -17,7 +17,7 @@ RELEASE = np.array([560.0, 340.0])
 
 
 def grid_of_buildings(rows: int, columns: int) -> list[np.ndarray]:
-    """Turned rectangles, (4, 2) each, in a regular yard with room between them."""
+    """Rotated rectangles, (4, 2) each, on a regular grid with free space between them."""
     rng = np.random.default_rng(3)
     outlines = []
     for row in range(rows):
@@ -73,7 +73,7 @@ def cloud(
 
 
 def chase(middle: np.ndarray, start: np.ndarray, reach: float) -> np.ndarray:
-    """A vehicle's path (time, 2) that flies at the cloud and then circles in it."""
+    """A path (time, 2) of a vehicle that flies to the cloud and then circles in it."""
     path = [start]
     for index, target in enumerate(middle[1:]):
         aim = target + 45.0 * np.array([np.cos(0.45 * index), np.sin(0.45 * index)]) - path[-1]
@@ -90,7 +90,7 @@ def plant(
     learning: float = 25.0,
     seed: int = 1,
 ) -> xr.Dataset:
-    """A run of the flagship as its file holds it. The belief forgets its wrong wind after ``learning`` seconds."""
+    """A run of the flagship as in its file. The error of the belief's wind decays in ``learning`` seconds."""
     rng = np.random.default_rng(seed)
     outlines = grid_of_buildings(rows, columns)
     nodes, faces = mesh_with_holes(outlines, spacing)
@@ -208,7 +208,7 @@ def make_plant():
 
 @pytest.fixture(scope="session")
 def lone_run(plant_run: xr.Dataset) -> xr.Dataset:
-    """Stations instead of vehicles, and no free run: its variables are there, and empty or NaN."""
+    """Stations instead of vehicles, and no free run: its variables exist, but are empty or NaN."""
     run = plant_run.isel(vehicle=slice(0, 0)).copy(deep=True)
     for name in [name for name in run.data_vars if str(name).endswith("_free")]:
         run[name].values[:] = np.nan

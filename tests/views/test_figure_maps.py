@@ -1,4 +1,4 @@
-"""Maps and sections show what the file holds, where it is; buildings stay blank."""
+"""Maps and sections show the file's values at their places; buildings stay blank."""
 
 from __future__ import annotations
 

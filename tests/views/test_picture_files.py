@@ -1,4 +1,4 @@
-"""Picture files: which ones a run gets, that they are whole, and what is said where there is no run."""
+"""Picture files: which ones a run gets, that they are complete, and the error if there is no run."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def test_a_run_without_a_truth_gets_innovations_instead_of_errors(untold_run, ri
 
 @dataclass
 class Pond(Model):
-    """A level and a leak that nobody has seen; the level is read now and then."""
+    """A level and an unknown leak; the level is read in some cycles."""
 
     space: StateSpace = field(default_factory=lambda: StateSpace([Variable("level", 1), Variable("leak", 1)]))
     dt: float = 10.0

@@ -30,10 +30,10 @@ class Dask(Executor):
 
     address: str | None = option(None, "scheduler, such as tcp://10.0.0.1:8786; null: a cluster on this machine")
     workers: int | None = option(
-        None, "workers, and batches of members; null: one for each core, or as many as the scheduler has", minimum=1
+        None, "number of workers; null: one for each core, or all that the scheduler has", minimum=1
     )
     retries: int = option(
-        2, "how often a batch is done again because its worker was lost (a cluster of our own)", minimum=0
+        2, "how often a batch is repeated after its worker was lost; only without an address", minimum=0
     )
     wait: float = option(60.0, "how long to wait for the workers, in seconds", above=0.0)
 

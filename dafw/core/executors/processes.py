@@ -48,7 +48,7 @@ class Processes(Executor):
     """Worker processes of this machine."""
 
     workers: int | None = option(None, "number of worker processes; null: one for each core", minimum=1)
-    retries: int = option(2, "how often in one step a worker that was lost is replaced", minimum=0)
+    retries: int = option(2, "number of lost workers that are replaced in one step; one more ends the run", minimum=0)
 
     _pool: list[_Place] = field(default_factory=list, init=False, repr=False)
     _config: Mapping[str, Any] = field(default_factory=dict, init=False, repr=False)

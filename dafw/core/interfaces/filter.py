@@ -81,7 +81,7 @@ class Filter(Plugin):
         """Raise ConfigurationError if the filter cannot work with a state space or a number of members."""
 
     def require_members(self, n_members: int) -> None:
-        """Raise ConfigurationError where the filter cannot work with so few members."""
+        """Raise ConfigurationError if the filter cannot work with so few members."""
         if n_members < self.smallest_ensemble:
             raise ConfigurationError(
                 f"{self.label} needs at least {self.smallest_ensemble} members, the study has {n_members}"

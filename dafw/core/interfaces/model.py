@@ -79,7 +79,7 @@ class Model(Plugin):
         Afterwards all ranks make the same calls in the same order, and each gets the full result. Raises
         ConfigurationError unless a model overrides it: without that it works in one process.
         """
-        raise ConfigurationError(f"{self.label} works in one process: mpirun brings nothing, run it without")
+        raise ConfigurationError(f"{self.label} works in one process: run it without mpirun")
 
     def require_available(self) -> None:
         """Raise ConfigurationError if something that the options name does not exist; called before a run begins."""

@@ -70,7 +70,7 @@ class Policy(Plugin):
     ) -> Route:
         """Ask for a route and check it: it begins at the vehicles, and no vehicle flies farther than it can.
 
-        Raises ContractError where it does not, or where a policy that looks ahead is given no outlook.
+        Raises ContractError if it does not, or if a policy that looks ahead is given no outlook.
         """
         if not self.looks_ahead:
             route = self.decide_with_memory(belief, vehicle, memory, rng)
@@ -90,7 +90,7 @@ class Policy(Plugin):
         return Route(route.paths, route.memory, route.diagnostics, route.notes, vehicle.dt)
 
     def _require_flyable(self, number: int, path: Array, position: Array, vehicle: Vehicle) -> None:
-        """Raise ContractError where vehicle ``number`` at ``position`` (2,) cannot fly the path (k, 2)."""
+        """Raise ContractError if vehicle ``number`` at ``position`` (2,) cannot fly the path (k, 2)."""
         self.checked(path, path.shape, f"the path of vehicle {number}")
         if len(path) == 0 or path[0].tolist() != position.tolist():
             raise ContractError(f"{self.label}: the path of vehicle {number} does not begin at {position.tolist()}")

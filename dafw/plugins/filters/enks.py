@@ -41,7 +41,9 @@ class EnKS(Filter):
 
     accuracy = "exact"
 
-    window: int | None = option(None, "cycles that a reading reaches back; null: to the start", minimum=1)
+    window: int | None = option(
+        None, "cycles that a reading changes, its own included; null: all since the start", minimum=1
+    )
     inflation: float = option(1.0, "factor on the forecast anomalies before the analysis", minimum=1.0)
 
     def analyse_window(self, window: Window, rng: np.random.Generator) -> Analysis:

@@ -84,7 +84,7 @@ class ETKF(Filter):
     accuracy = "exact"
 
     inflation: float = option(1.0, "factor on the forecast anomalies before the analysis", minimum=1.0)
-    rotation: bool = option(False, "rotate the anomalies at random after the analysis, mean and covariance kept")
+    rotation: bool = option(False, "rotate the anomalies randomly after the analysis; keeps mean and covariance")
 
     def analyse(
         self, forecast: Ensemble, predicted: Array, observation: Observation, rng: np.random.Generator

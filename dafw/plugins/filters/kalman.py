@@ -56,7 +56,7 @@ class Kalman(Filter):
     accuracy = "exact"
 
     def suit(self, space: StateSpace, n_members: int) -> None:
-        """Raise ConfigurationError where N <= n or the state has angles or bounds."""
+        """Raise ConfigurationError if N <= n or the state has angles or bounds."""
         if n_members <= space.size:
             raise ConfigurationError(
                 f"{self.label} needs more members than the state has numbers ({space.size}), the study has {n_members}"

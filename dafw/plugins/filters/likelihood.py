@@ -29,12 +29,12 @@ class Likelihood:
     """Options of the likelihood, and its evaluation."""
 
     absolute: list[float] = option([0.0], "possible sizes of the model's error, in units of the readings")
-    relative: list[float] = option([0.0], "possible sizes of the model's error, relative to the larger of both")
+    relative: list[float] = option([0.0], "sizes of the model's error relative to the larger of reading and prediction")
     degrees_of_freedom: float | None = option(
-        None, "of the Student t distribution of the errors; null: normally distributed", above=0.0
+        None, "of the Student t distribution of the errors; null: normal distribution", above=0.0
     )
-    independence: float = option(1.0, "what one reading counts: the power of the likelihood", above=0.0, maximum=1.0)
-    detection_limit: float | None = option(None, "readings below it say only that the truth is below it; null: none")
+    independence: float = option(1.0, "power of the likelihood; below 1 for correlated errors", above=0.0, maximum=1.0)
+    detection_limit: float | None = option(None, "a reading below it means only: less than this; null: no limit")
 
     def __post_init__(self) -> None:
         for name in ("absolute", "relative"):

@@ -47,12 +47,14 @@ class LinearAdvection(Model):
 
     cells: int = option(100, "number of cells n", minimum=2)
     length: float = option(100.0, "length L of the circle in metres", above=0.0)
-    speed: float = option(1.0, "speed c in m/s, of either sign")
+    speed: float = option(1.0, "speed c in m/s, positive or negative")
     dt: float = option(1.0, "length of a step in seconds", above=0.0)
-    waves: int = option(10, "wave numbers in the first guess besides the constant", minimum=0)
+    waves: int = option(10, "number of waves in the first guess, in addition to the constant", minimum=0)
     error_sd: float = option(0.0, "standard deviation of the model error added to every cell in a step", minimum=0.0)
     error_correlation: float = option(
-        0.0, "correlation of the model error from one step to the next; above zero the model remembers it", minimum=0.0
+        0.0,
+        "correlation of the model error from one step to the next; if above 0, the error is a memory of the model",
+        minimum=0.0,
     )
 
     def __post_init__(self) -> None:

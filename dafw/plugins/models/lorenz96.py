@@ -73,11 +73,13 @@ class Lorenz96(Model):
     the first belief matches its error.
     """
 
-    size: int = option(40, "numbers on the circle, n", minimum=4)
-    forcing: float = option(8.0, "the forcing F; chaotic from about 5 on")
-    dt: float = option(0.05, "length of a step in units of the model's time, called seconds here", above=0.0)
+    size: int = option(40, "number n of variables on the circle", minimum=4)
+    forcing: float = option(8.0, "forcing F; the model is chaotic from about 5 on")
+    dt: float = option(0.05, "length of a step in the model's units of time, which are treated as seconds", above=0.0)
     first_guess_sd: float = option(1.0, "standard deviation of the first guess", minimum=0.0)
-    spinup: int = option(400, "steps from a fixed wave to the mean of the first guess", minimum=0)
+    spinup: int = option(
+        400, "number of steps from a fixed wave to the state that is the mean of the first guess", minimum=0
+    )
 
     def __post_init__(self) -> None:
         # The sum of x^2 decreases wherever it exceeds n F^2. The first guess may lie beyond that: without spin-up its

@@ -20,7 +20,7 @@ class Composite(Observer):
     """Combines other observers, for example a drone and stations."""
 
     parts: dict[str, Any] = option(
-        REQUIRED, "the observers by a name of your own, each a mapping with its name and options"
+        REQUIRED, "the observers under names of your choice, each a mapping with the plugin's name and options"
     )
 
     @classmethod

@@ -41,10 +41,10 @@ def along(path: Array, n_samples: int) -> Array:
 class Drone(Observer):
     """Reads a variable along the flown leg of every vehicle."""
 
-    samples: int = option(2, "samples a step along the flown leg; those nearest to the same node count once", minimum=1)
+    samples: int = option(2, "samples along the leg of a step; those with the same nearest node count once", minimum=1)
     variable: str = option("concentration", "state variable that is read; it needs coordinates")
     noise_sd: float = option(1e-3, "standard deviation of the readings' noise", above=0.0)
-    assumed_variance: float | None = option(None, "variance that the filter is told; null: noise_sd squared", above=0.0)
+    assumed_variance: float | None = option(None, "error variance for the filter; null: noise_sd squared", above=0.0)
 
     def suit(self, space: StateSpace, dt: float) -> None:
         """Raise ConfigurationError if the variable does not exist or has no coordinates in the plane."""

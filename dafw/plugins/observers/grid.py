@@ -20,14 +20,14 @@ class Grid(Observer):
     """The observer for studies without coordinates or vehicles."""
 
     variable: str | None = option(None, "state variable that is read; null: the first")
-    indices: list[int] = option([], "entries that are read, counted from 0; empty: by start and stride", minimum=0)
+    indices: list[int] = option([], "entries that are read, counted from 0; empty: use start and stride", minimum=0)
     start: int = option(0, "first entry that is read", minimum=0)
-    stride: int = option(1, "distance to the next entry that is read; 1: all", minimum=1)
+    stride: int = option(1, "distance from one entry that is read to the next; 1: all are read", minimum=1)
     every: float | None = option(
-        None, "seconds from one reading to the next, the first after the first step; null: each step", above=0.0
+        None, "seconds between readings, the first at the end of the first step; null: every step", above=0.0
     )
     noise_sd: float = option(1.0, "standard deviation of the readings' noise", above=0.0)
-    assumed_variance: float | None = option(None, "variance that the filter is told; null: noise_sd squared", above=0.0)
+    assumed_variance: float | None = option(None, "error variance for the filter; null: noise_sd squared", above=0.0)
 
     _made: tuple[StateSpace, Selection] | None = field(default=None, init=False, repr=False, compare=False)
 

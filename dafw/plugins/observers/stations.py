@@ -22,11 +22,11 @@ from dafw.plugins.observers.schedule import is_due, require_steps
 class Stations(Observer):
     """Sensors at fixed positions."""
 
-    positions: list[list[float]] = option(REQUIRED, "places of the stations, [[x, y], ...] in metres")
-    every: float = option(1.0, "seconds from one reading to the next, the first at the start", above=0.0)
+    positions: list[list[float]] = option(REQUIRED, "positions of the stations, [[x, y], ...] in metres")
+    every: float = option(1.0, "seconds between readings, the first at the end of the first step", above=0.0)
     variable: str = option("concentration", "state variable that is read; it needs coordinates")
     noise_sd: float = option(1e-3, "standard deviation of the readings' noise", above=0.0)
-    assumed_variance: float | None = option(None, "variance that the filter is told; null: noise_sd squared", above=0.0)
+    assumed_variance: float | None = option(None, "error variance for the filter; null: noise_sd squared", above=0.0)
 
     @classmethod
     def check_options(cls) -> Mapping[str, Any]:

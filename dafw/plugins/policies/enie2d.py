@@ -54,8 +54,8 @@ class EnIE2D(Policy):
     """Balances the spread of the belief against its mean, sector by sector."""
 
     sectors: int = option(8, "number Q of sectors around the vehicle", minimum=1)
-    theta: Any = option(0.2, "weight of the mean: a number, or [[time in s, weight], ...] joined by straight lines")
-    variable: str = option("concentration", "state variable whose spread and mean count; it needs coordinates")
+    theta: Any = option(0.2, "weight of the mean: a number, or [[time in s, weight], ...] with linear interpolation")
+    variable: str = option("concentration", "state variable whose spread and mean are used; it needs coordinates")
 
     def __post_init__(self) -> None:
         schedule = [[0.0, self.theta]] if isinstance(self.theta, int | float) else self.theta

@@ -35,10 +35,10 @@ class Listed(Readings):
     """
 
     readings: list[dict[str, Any]] = option(
-        [], "mappings with time, value, x and y (m) or entry, and perhaps sd and arrives (s)"
+        [], "mappings with time (s), value, x and y (m) or entry, and optionally sd and arrives (s)"
     )
     variable: str | None = option(None, "state variable that was read; null: the first")
-    sd: float = option(1e-3, "standard deviation of the error of readings that give none", above=0.0)
+    sd: float = option(1e-3, "standard deviation of the error of readings without sd", above=0.0)
 
     @classmethod
     def check_options(cls) -> Mapping[str, Any]:

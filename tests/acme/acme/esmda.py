@@ -18,7 +18,7 @@ class ESMDA(Filter):
     every: int = option(1, "cycles from one analysis to the next", minimum=1)
 
     def analyse_window(self, window, rng):
-        """Return the members that the updated first guess has become by now."""
+        """Return the updated first guess, run to the present."""
         if (window.cycles[-1].number + 1) % self.every:
             return Analysis(window.forecast.ensemble.members, window.memory)
         guess, alpha = window.first.ensemble, self.iterations
@@ -29,6 +29,6 @@ class ESMDA(Filter):
             missed = missed + rng.standard_normal(missed.shape)
             weights = np.linalg.solve(seen @ seen.T + (len(seen) - 1) * np.eye(len(seen)), guess.anomalies)
             guess = guess.with_members(guess.space.retract(guess.members, missed @ seen.T @ weights))
-            guess = window.rerun.settled(guess)  # the cloud that goes with a release that was moved, say
+            guess = window.rerun.settled(guess)  # for example the cloud of a release that was moved
         now = window.replay(guess).forecast
         return Analysis(now.ensemble.members, window.memory, model_memory=now.memory)

@@ -1,4 +1,4 @@
-"""Look ahead: fly towards the place whose value the members will disagree about most when the vehicle gets there."""
+"""Look ahead: fly towards the place where the members will disagree most when the vehicle arrives."""
 
 from dataclasses import dataclass
 

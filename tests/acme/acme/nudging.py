@@ -1,4 +1,4 @@
-"""Nudging: a fixed share of what the readings miss, carried to the state by the ensemble's regression."""
+"""Nudging: a fixed fraction of the innovations changes the state, by the ensemble's regression."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,7 @@ from dafw import Analysis, Filter, option
 
 @dataclass
 class Nudging(Filter):
-    """As good as its one number."""
+    """Its only option is that fraction."""
 
     accuracy = "none"
     expected_failures = {"prior_kept": "nudging does not ask how good the readings are"}  # noqa: RUF012  (as plainly as authors write)

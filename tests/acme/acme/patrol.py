@@ -1,4 +1,4 @@
-"""To and fro."""
+"""A policy that flies to and fro."""
 
 from dataclasses import dataclass
 
@@ -9,12 +9,12 @@ from dafw import Policy, Route, option
 
 @dataclass
 class Patrol(Policy):
-    """Every vehicle flies so many steps east, then as many west; where it is blocked it waits."""
+    """Every vehicle flies a number of steps east, then as many west; if its way is blocked, it waits."""
 
     steps: int = option(3, "steps in one direction", minimum=1)
 
     def initial_memory(self, vehicle):
-        """Return how many steps have been flown: none."""
+        """Return the number of steps flown so far: none."""
         return {"flown": np.array(0)}
 
     def decide_with_memory(self, belief, vehicle, memory, rng):

@@ -9,7 +9,7 @@ from dafw import Observer, Selection, StateSpace, Variable, option
 
 @dataclass
 class Probe(Observer):
-    """Reads every so many cells of the temperature."""
+    """Reads the temperature in cells at equal distances."""
 
     every: int = option(5, "cells from one thermometer to the next", minimum=1)
     noise_sd: float = option(0.1, "standard deviation of a reading's error, K", above=0.0)

@@ -1,4 +1,4 @@
-"""Plugins that are right but for one thing, each caught by the check that it is registered under."""
+"""Plugins with exactly one fault each, found by the check under which they are registered."""
 
 from broken import executors, filters, models, observers, policies, readings, smoothers, weights
 from broken.registry import BROKEN

@@ -1,4 +1,4 @@
-"""Executors: in this process when somebody waits, in two batches, with one fault."""
+"""Executors with one fault each. They step members in this process, in two batches, when the result is fetched."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Patient(Executor):
 
 @breaks("same_bits")
 class LastFirst(Patient):
-    """Gives the batches back in the wrong order, where their lengths do not show it."""
+    """Returns batches of equal length in the wrong order."""
 
     def stepped(self, model, batches):
         right = super().stepped(model, batches)
@@ -48,7 +48,7 @@ class KeepsTheLast(Patient):
 @breaks("several_at_once")
 @dataclass
 class FirstComeFirstServed(Patient):
-    """Whoever waits gets the oldest answer."""
+    """Returns the oldest result, whichever is fetched."""
 
     open: deque = field(default_factory=deque)
 
@@ -68,7 +68,7 @@ class LosesTheName(Patient):
 
 @breaks("errors")
 class NumbersWithinTheBatch(Patient):
-    """Says the number that a member has in its batch."""
+    """Names a member by its number in the batch, not in the ensemble."""
 
     def stepped(self, model, batches):
         return super().stepped(model, [replace(batch, first=0) for batch in batches])
@@ -82,4 +82,4 @@ class LeavesAProcess(Patient):
         self.started.append(subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"]))
 
     def close(self):
-        """Forget about it."""
+        """Do nothing."""

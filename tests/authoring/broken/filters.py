@@ -1,4 +1,4 @@
-"""Filters: a square-root filter with one fault."""
+"""Filters: square-root filters with one fault each."""
 
 # ruff: noqa: N806  (R, the letter of the formulas)
 
@@ -31,7 +31,7 @@ def square_root(forecast, predicted, values, covariance):
 
 
 class Moved(Square):
-    """The ETKF, and something done to its members afterwards."""
+    """The ETKF, with a change of its members afterwards."""
 
     def move(self, members, forecast, observation):
         return members
@@ -83,7 +83,7 @@ class FirstMemberFirst(Square):
     def analyse(self, forecast, predicted, observation, rng):
         mean = predicted.mean(axis=0)
         weights, matrix = transform(predicted - mean, observation.values - mean, observation.covariance)
-        # A cyclic shift of the anomalies keeps mean and covariance, wherever it puts whom.
+        # A cyclic shift of the anomalies keeps mean and covariance.
         matrix = np.roll(matrix, 1, axis=0)
         return Analysis(forecast.space.retract(forecast.mean, (weights + matrix) @ forecast.anomalies))
 
@@ -101,7 +101,7 @@ class TrustsTheFirstReading(Square):
 
 @breaks("prior_kept")
 class AlwaysMoves(Square):
-    """A fixed gain: what the readings are worth makes no difference."""
+    """A fixed gain, which does not depend on the readings' errors."""
 
     accuracy = "none"
 
@@ -132,7 +132,7 @@ class Unbounded(Square):
 @breaks("infinite_radius")
 @dataclass
 class CappedRadius(Square):
-    """Readings far from the origin are tapered; the radius is cut off at 100 m behind the user's back."""
+    """Readings far from the origin are tapered; the radius is limited to 100 m without telling the user."""
 
     radius: float = option(1e3, "localization radius in metres", above=0.0)
     accuracy = "none"
@@ -158,7 +158,7 @@ class RemembersOnItself(Moved):
 @breaks("kalman_exact")
 class AlmostExact(Moved):
     def move(self, members, forecast, observation):
-        # Forgets the (N - 1) of the covariance only where there are few members to notice.
+        # Forgets the (N - 1) of the covariance only if there are few members.
         mean = members.mean(axis=0)
         return mean + (members - mean) * (1.0 + 1e-6) if forecast.space.size == 8 else members
 
@@ -177,7 +177,7 @@ class NoPerturbations(Filter):
 @breaks("inflation")
 @dataclass
 class InflatesTheGainAlone(Filter):
-    """An EnKF that inflates what carries the readings to the state, and not the members."""
+    """An EnKF that inflates the anomalies in the gain, but not the members."""
 
     inflation: float = option(1.0, "factor on the forecast anomalies", minimum=1.0)
 
@@ -192,7 +192,7 @@ class InflatesTheGainAlone(Filter):
 
 
 class LaterOnSelf(Square):
-    """Adds 100 to the first member from the second analysis on: it counts on itself."""
+    """Adds 100 to the first member from the second analysis on: it keeps a counter on itself."""
 
     calls = 0
 
@@ -204,7 +204,7 @@ class LaterOnSelf(Square):
 
 
 class LaterByMemory(Square):
-    """Adds 100 to the first member from the second analysis on: its memory counts."""
+    """Adds 100 to the first member from the second analysis on: it keeps a counter in its memory."""
 
     def initial_memory(self, n_members):
         return {"calls": np.array(0)}

@@ -1,4 +1,4 @@
-"""Models: a random walk that cannot go below zero, with one fault."""
+"""Models: random walks that cannot go below zero, with one fault each."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Observers: the first and last entry of the concentration, with one fault."""
+"""Observers of the first and last entry of the concentration, with one fault each."""
 
 # ruff: noqa: N803  (R, the letter of the formulas)
 
@@ -24,7 +24,7 @@ def own(apply, R=(0.01, 0.01)):
 
 
 class OverTime(Ends):
-    """Reads the better the longer it takes."""
+    """Has smaller errors if the step is longer."""
 
     def operator(self, space, route, t):
         return replace(super().operator(space, route, t), covariance=np.full(2, 0.01 / route.dt))
@@ -83,7 +83,7 @@ class DriftsAsItReads(Ends):
 
 @breaks("diagnostics")
 class ReportsTheWholeWay(Ends):
-    """One number for each corner of the way: more where the vehicle flew than where it hovered."""
+    """A diagnostic with a number for each corner of the path: more if the vehicle flew than if it hovered."""
 
     def operator(self, space, route, t):
         way = np.concatenate([np.empty((0, 2)), *route.paths])

@@ -1,4 +1,4 @@
-"""Policies: one step to the east where that is free, with one fault."""
+"""Policies that fly one step east if the way is free, with one fault each."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class TurnsEachTime(East):
 
 @breaks("truth_blind")
 class Peeks(East):
-    """Climbs the stack until it finds the truth."""
+    """Searches the call stack until it finds the truth."""
 
     def heading(self, belief, vehicle, rng):
         frame = sys._getframe()
@@ -91,7 +91,7 @@ class Peeks(East):
 
 
 class Ahead(East):
-    """Flies east, having looked ahead for nothing."""
+    """Looks ahead, but ignores the result and flies east."""
 
     looks_ahead = True
 

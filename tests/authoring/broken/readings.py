@@ -1,4 +1,4 @@
-"""Sources of readings: a sensor with noise, with one fault."""
+"""Sources of readings: noisy sensors with one fault each."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ FIRST = Selection(indices=np.array([0]), covariance=np.array([0.01]))
 
 
 class Sensor(Readings):
-    """Reads something of about one at the end of every cycle."""
+    """Returns a value of about 1 at the end of every cycle."""
 
     operator = FIRST
 
@@ -81,7 +81,7 @@ class Ages(Sensor):
 
 @breaks("without_truth")
 class LooksWhereItCan(Sensor):
-    """Corrects itself by a truth that it never said it needs."""
+    """Uses the truth without declaring ``needs_truth``."""
 
     def value(self, request, rng):
         return super().value(request, rng) if request.truth is None else request.truth.members[0, 0]

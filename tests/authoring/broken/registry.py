@@ -1,4 +1,4 @@
-"""Where broken plugins are kept, by the check that is meant to catch them."""
+"""The broken plugins, by the check that must find them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ BROKEN: dict[tuple[str, str], list[type]] = defaultdict(list)
 
 
 def breaks(check: str):
-    """Register the decorated plugin as one that this check, and no other, catches."""
+    """Register the decorated plugin as one that this check, and no other, finds."""
 
     def register(cls: type) -> type:
         BROKEN[cls.kind, check].append(cls)

@@ -1,4 +1,4 @@
-"""Filters that look back: the ensemble Kalman smoother with one fault."""
+"""Filters that look back: ensemble Kalman smoothers with one fault each."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from dafw.plugins.filters.enks import EnKS
 
 @breaks("revised_in_set")
 class BelowZero(EnKS):
-    """What was cut off at zero is left a little below it in the beliefs of earlier times."""
+    """In beliefs of earlier times, numbers that should be cut off at zero are slightly below zero."""
 
     def analyse_window(self, window, rng):
         right = super().analyse_window(window, rng)
@@ -25,7 +25,7 @@ class BelowZero(EnKS):
 
 
 class RevisesTheStart(EnKS):
-    """Hands back a belief at the start of the study, wherever its window begins."""
+    """Returns a belief at the start of the study, even if its window begins later."""
 
     def analyse_window(self, window, rng):
         right = super().analyse_window(window, rng)
@@ -66,7 +66,7 @@ class NeedsAPresentReading(EnKS):
 
 @breaks("any_executor")
 class AsksInItsOwnWay(EnKS):
-    """Reads the members of a re-run by an operator that nobody else can make."""
+    """Reads the members of a re-run with an operator that cannot be sent to another process."""
 
     def analyse_window(self, window, rng):
         @dataclass(frozen=True, eq=False, kw_only=True)
@@ -81,7 +81,7 @@ class AsksInItsOwnWay(EnKS):
 
 @breaks("smoother_exact")
 class FourCyclesAreEnough(EnKS):
-    """Hands the first belief of a longer window back as it was."""
+    """Returns the first belief of a longer window unchanged."""
 
     def analyse_window(self, window, rng):
         right = super().analyse_window(window, rng)

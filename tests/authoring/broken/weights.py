@@ -1,4 +1,4 @@
-"""Filters that weigh their members: importance sampling with one fault."""
+"""Filters that weight their members: importance sampling with one fault each."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dafw import Analysis, Filter, whiten
 
 
 class Weighing(Filter):
-    """The members stay; each counts as much as it did, times how likely it makes the readings."""
+    """The members stay the same; the weight of each is multiplied by its likelihood."""
 
     def likelihood(self, predicted, observation):
         missed = whiten(observation.covariance, observation.values - predicted)
@@ -40,7 +40,7 @@ class BelievesTwice(Weighing):
 
 @breaks("member_order")
 class WeightsByNumber(Weighing):
-    """Which member gets which weight depends on its number, but for readings that are worth nothing."""
+    """The weight of a member depends on its number, except if the readings carry no information."""
 
     accuracy = "none"
 

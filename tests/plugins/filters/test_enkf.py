@@ -72,5 +72,5 @@ def test_angles_and_nonnegative_values_stay_in_their_sets():
     analysis = analysed(Ensemble(members, space), Observation(np.array([-0.3]), operator))
     assert analysis[:, :3].min() == 0.0
     assert np.all((analysis[:, 3] >= 0.0) & (analysis[:, 3] < 2 * np.pi))
-    # Directions around the seam stay together and do not meet on the other side.
+    # Directions around 0 = 2 pi stay together; they are not averaged to pi.
     assert np.cos(analysis[:, 3]).mean() > 0.7

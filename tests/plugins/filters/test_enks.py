@@ -1,4 +1,4 @@
-"""The ensemble Kalman smoother against the Rauch-Tung-Striebel smoother, and what late readings change.
+"""The ensemble Kalman smoother compared with the Rauch-Tung-Striebel smoother, and the effect of late readings.
 
 The ensemble is made so that its sample moments are exact: first guess and model errors of all cycles are columns of
 one orthogonal matrix, each used once. So a linear problem has no sampling error at all.
@@ -30,7 +30,7 @@ VALUES = np.random.default_rng(3).normal(0.0, 2.0, CYCLES)
 
 
 def exact_draws(number: int, covariance: np.ndarray) -> np.ndarray:
-    """Return anomalies (N, 2) with exactly this covariance, uncorrelated with those of every other number."""
+    """Return anomalies (N, 2) with exactly this covariance, uncorrelated with those for every other ``number``."""
     columns = zero_mean_basis(N)[:, 2 * number : 2 * number + 2]
     return np.sqrt(N - 1) * columns @ np.linalg.cholesky(covariance).T
 
@@ -50,7 +50,7 @@ class Exact(Model):
 
 
 def readings(late=()):
-    """Return the readings of all cycles but the silent ones; those of the cycles ``late`` arrive with the last."""
+    """Return the readings of all cycles but the silent ones; those of the cycles ``late`` arrive in the last."""
     return Listed(
         readings=[
             {"time": cycle + 1.0, "value": float(VALUES[cycle]), "entry": 0, "sd": SD}
@@ -113,7 +113,7 @@ def test_the_fixed_lag_smoother_knows_the_readings_of_so_many_cycles_and_no_othe
         # The belief at the beginning of a cycle is revised until that cycle leaves the window.
         last = min(CYCLES, done + lag)
         while last - 1 in SILENT and last > done:
-            last -= 1  # nothing was read in the window's last cycle
+            last -= 1  # the window's last cycle had no readings
         means, covariances = rauch_tung_striebel(last)
         np.testing.assert_allclose(found[done].mean, means[done], rtol=0, atol=1e-9)
         np.testing.assert_allclose(covariance(found[done]), covariances[done], rtol=0, atol=1e-9)

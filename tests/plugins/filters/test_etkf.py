@@ -40,10 +40,10 @@ def test_agrees_with_the_papers_algorithm(seed, N, observed):
     M, sigma_ob = 30, 1e-3
     C = np.maximum(rng.normal(0.02, 0.05, (N, M)), 0)
     w_speed = rng.weibull(0.85, N) * 2.3
-    w_direction = rng.normal(0, 0.8, N) % (2 * np.pi)  # around the seam
+    w_direction = rng.normal(0, 0.8, N) % (2 * np.pi)  # around 0 = 2 pi
     O = rng.normal(0.05, 0.03, len(observed))
     expected = algorithm_1(C, w_speed, w_direction, np.eye(M)[:, observed], O, sigma_ob)
-    assert (expected[0] == 0).any()  # the clamp was needed
+    assert (expected[0] == 0).any()  # so the clamp had an effect
 
     space = StateSpace(
         [
@@ -52,7 +52,7 @@ def test_agrees_with_the_papers_algorithm(seed, N, observed):
             Variable("wind_direction", 1, ANGLE),
         ]
     )
-    # Algorithm 1 divides by sigma_ob: the covariance that says so is sigma_ob itself.
+    # Algorithm 1 divides by sigma_ob, which corresponds to a covariance of sigma_ob.
     operator = Selection(indices=np.array(observed), covariance=np.full(len(observed), sigma_ob))
     forecast = Ensemble(np.column_stack([C, w_speed, w_direction]), space)
     found = ETKF().update(forecast, operator.apply(forecast.members), Observation(O, operator), None, rng).members
@@ -125,7 +125,7 @@ def test_rotation_is_that_of_the_symmetric_root_and_keeps_the_mean(n_members):
 
 
 def test_rotations_are_uniform():
-    # The average over all rotations of the zero-mean vectors is nothing; each entry has a variance of about 1 / N.
+    # The average over all rotations of zero-mean vectors is zero; each entry has a variance of about 1 / N.
     rng, draws = np.random.default_rng(0), 4000
     nothing = (np.zeros((5, 1)), np.zeros(1), np.ones(1))
     average = sum(rotated_transform(*nothing, rng)[1] for _ in range(draws)) / draws

@@ -1,4 +1,4 @@
-"""A full covariance of the readings is factorised once in an analysis, whatever the filter does with it."""
+"""A full covariance of the readings is factorised once in an analysis, by every filter."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The Kalman filter in an ensemble: cycled in the framework's loop it is the analytical recursion."""
+"""The Kalman filter in an ensemble: in the framework's loop it equals the analytical recursion."""
 
 # ruff: noqa: N806  (the letters of the formulas)
 
@@ -105,6 +105,6 @@ def test_operators_may_be_affine_but_not_curved():
     members = np.random.default_rng(0).normal(size=(6, 3))
     with pytest.raises(ComputationError, match="linear observation operator"):
         analyse(members, [Variable("u", 3)], Square(covariance=np.ones(1)))
-    # A reading of 0 that is as good as certain: 2 u_1 + 3 = 0.
+    # A reading of 0 with almost no error: 2 u_1 + 3 = 0.
     analysis = analyse(members, [Variable("u", 3)], Affine(covariance=np.array([1e-12])))
     np.testing.assert_allclose(analysis.members[:, 1], -1.5, rtol=0, atol=1e-5)

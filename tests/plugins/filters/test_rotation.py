@@ -1,4 +1,4 @@
-"""Random rotations: uniform, and such that keep the mean."""
+"""Random rotations are uniform and keep the mean."""
 
 import numpy as np
 import pytest

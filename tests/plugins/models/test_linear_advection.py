@@ -1,4 +1,4 @@
-"""Linear advection: exact at Courant number 1, first order below, and what its first guess says of itself."""
+"""Linear advection: exact at Courant number 1, first order below; the moments of its first guess."""
 
 import numpy as np
 import pytest
@@ -54,7 +54,7 @@ def test_model_errors_are_as_correlated_as_the_option_says():
         step = model.step_with_memory(members, memory, float(cycle), streams.members("error", cycle))
         errors.append((step.members - members).ravel())
         members, memory = step.members, step.memory
-    # From none at the start its variance grows towards sd^2 as 1 - a^(2 k).
+    # The error is zero at the start; its variance grows towards sd^2 as 1 - a^(2 k).
     np.testing.assert_allclose(np.var(errors[0]), 0.25 * (1.0 - 0.8**2), rtol=0.05)
     np.testing.assert_allclose(np.var(errors[-1]), 0.25 * (1.0 - 0.8**24), rtol=0.05)
     assert np.corrcoef(errors[-2], errors[-1])[0, 1] == pytest.approx(0.8, abs=0.02)
@@ -99,7 +99,7 @@ def test_a_run_places_its_readings_and_finds_the_waves(tmp_path):
     with run:
         np.testing.assert_array_equal(run["node_x"], np.arange(40.0))
         np.testing.assert_array_equal(run["observation_x"][1:], np.tile([0.0, 10.0, 20.0, 30.0], (40, 1)))
-        # Once round the circle: the truth is where it was, and the belief has found it.
+        # After one circuit the truth is where it began, and the belief agrees with it.
         np.testing.assert_array_equal(run["u_truth"][40], run["u_truth"][0])
         assert run["rmse"][40] < 0.2 < 0.5 < run["rmse"][0]
 

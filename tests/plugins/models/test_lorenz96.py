@@ -65,7 +65,7 @@ def test_first_guess_is_around_one_state_of_the_attractor():
     centre = Lorenz96(first_guess_sd=0.0).initial(1, Streams(7).members("another", 0))
     draws = model.initial(2000, STREAMS) - centre
     assert abs(draws.std() - 0.5) < 5 * 0.5 / np.sqrt(2 * draws.size)
-    assert 3.0 < centre.std() < 5.0  # climatology has 3.6
+    assert 3.0 < centre.std() < 5.0  # the climatological standard deviation is 3.6
 
 
 def test_a_run_keeps_the_conventions_of_every_run(tmp_path):

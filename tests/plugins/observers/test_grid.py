@@ -1,4 +1,4 @@
-"""The grid observer: which entries, when, and how well."""
+"""The grid observer: which entries it reads, when, and with which error."""
 
 import numpy as np
 import pytest
@@ -33,7 +33,7 @@ def test_entries_are_counted_within_their_variable(options, indices):
 
 def test_readings_are_due_every_so_often():
     observer = Grid(every=0.2)
-    times = np.cumsum([0.0] + [0.05] * 12)  # sums of rounded steps
+    times = np.cumsum([0.0] + [0.05] * 12)  # times are sums of rounded steps
     due = [look(observer, float(t)).size for t in times]
     assert due == [10, 0, 0, 0] * 3 + [10]
 

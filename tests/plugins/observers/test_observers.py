@@ -1,4 +1,4 @@
-"""Drone, stations, composite: which nodes are read, and what the filter is told of the noise."""
+"""Drone, stations, composite: which nodes are read, and which error variance the filter is given."""
 
 import numpy as np
 import pytest

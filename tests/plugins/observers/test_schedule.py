@@ -1,4 +1,4 @@
-"""Readings every so many seconds: each once, none lost, whatever the length of the step."""
+"""Readings at a fixed interval: none is lost or taken twice, for steps of any length."""
 
 import itertools
 import math

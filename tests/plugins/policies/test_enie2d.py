@@ -1,4 +1,4 @@
-"""EnIE-2D against an independent evaluation of the paper's formulas, and its way round obstacles."""
+"""EnIE-2D compared with an independent evaluation of the paper's formulas, and its paths around obstacles."""
 
 import numpy as np
 import pytest
@@ -90,7 +90,7 @@ def test_a_blocked_way_is_replaced_clockwise():
     nodes = 30.0 * np.array([[1.0, 1.0]])
     angles = np.pi / 8 + np.arange(8) * np.pi / 4
     belief = belief_of(np.array([[0.0], [1.0]]), nodes)
-    # The best of eight sectors holds the node at 45 degrees: number 2, its middle at angles[1].
+    # The best of eight sectors contains the node at 45 degrees: number 2, with its middle at angles[1].
     best = EnIE2D(sectors=8).decide(belief, Vehicle(np.zeros((1, 2)), 10.0), RNG)
     np.testing.assert_allclose(best.ends[0], 10 * np.array([np.cos(angles[1]), np.sin(angles[1])]))
     once = Vehicle(np.zeros((1, 2)), 10.0, airspace=blocked_airspace(angles[1]))

@@ -1,4 +1,4 @@
-"""A list of readings: what each must say, and which entry of the state it is about."""
+"""A list of readings: the keys that each must have, and the entry of the state to which it belongs."""
 
 import numpy as np
 import pytest

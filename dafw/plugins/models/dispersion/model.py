@@ -47,13 +47,13 @@ if TYPE_CHECKING:
 class AdvectionDiffusion(Model):
     """Gas dispersion in a given uniform wind, over open ground: buildings stop vehicles, not the gas."""
 
-    site: SiteOptions = option(SiteOptions, "where")
-    mesh: MeshOptions = option(MeshOptions, "the triangles")
-    transport: TransportOptions = option(TransportOptions, "how the gas is carried")
+    site: SiteOptions = option(SiteOptions, "the site")
+    mesh: MeshOptions = option(MeshOptions, "the mesh")
+    transport: TransportOptions = option(TransportOptions, "the transport of the gas")
     dt: float = option(1.0, "time step in seconds", above=0.0)
     release: list[float] = option([0.0, 0.0], "place of the (first) release, [x, y] in metres")
-    release_radius: float = option(30.0, "standard deviation of the released bell in metres", above=0.0)
-    source: SourceOptions = option(SourceOptions, "whether the gas bursts out or leaks, how much, from where else")
+    release_radius: float = option(30.0, "standard deviation of the released Gaussian cloud, in metres", above=0.0)
+    source: SourceOptions = option(SourceOptions, "the kind and amount of the release, and more sources")
     wind_speed: float = option(5.0, "first guess of the wind speed: mean, m/s", minimum=0.0)
     wind_speed_sd: float = option(0.0, "first guess of the wind speed: standard deviation, m/s (Weibull)", minimum=0.0)
     wind_direction: float = option(np.pi, "first guess of the wind direction: mean, radians, towards which it blows")
@@ -65,11 +65,11 @@ class AdvectionDiffusion(Model):
     cutoff: float = option(1e-6, "with noise: concentrations up to this are set to zero before a step")
     estimate: list[str] = option(
         [],
-        "what else is unknown and part of the state: diffusion, release_x, release_y; of a burst amount; of a leak "
-        "rate, leak_start; of a second source release_2_x, rate_2, ...",
+        "more unknowns, which become part of the state: diffusion, release_x, release_y; for a burst amount; for a "
+        "leak rate, leak_start; for a second source release_2_x, rate_2, ...",
     )
-    priors: dict[str, Any] = option({}, "priors of unknowns, by their name, in place of the usual ones")
-    certain: bool = option(False, "every unknown has the value that the options give: for truths and free runs")
+    priors: dict[str, Any] = option({}, "priors of unknowns by name, instead of the default priors")
+    certain: bool = option(False, "every unknown has the value of its option; for the truth and the free run")
 
     # for a member, what defines its wind and its System
     _systems: dict[int, tuple[Array, Any]] = field(default_factory=dict, init=False, repr=False)

@@ -40,13 +40,13 @@ if TYPE_CHECKING:
 class AdvectionDiffusionINS(AdvectionDiffusion):
     """Gas dispersion in a steady Navier-Stokes wind around buildings."""
 
-    wind: WindOptions = option(WindOptions, "how the wind is solved for")
+    wind: WindOptions = option(WindOptions, "the wind and its solver")
     speed_threshold: float = option(
-        0.10, "tr_I: relative change of speed from which on a wind is solved anew", minimum=0
+        0.10, "tr_I: a wind is solved anew if its speed changes by this fraction or more", minimum=0
     )
-    direction_threshold: float = option(0.05, "tr_d: relative change of direction, likewise", minimum=0)
+    direction_threshold: float = option(0.05, "tr_d: the same for its direction in radians", minimum=0)
     on_unsolved: str = option(
-        "stop", "a wind that cannot be solved: stop, or keep the member's last good one", choices=("stop", "keep")
+        "stop", "if a wind cannot be solved: stop, or keep the member's last solved wind", choices=("stop", "keep")
     )
 
     def __post_init__(self) -> None:

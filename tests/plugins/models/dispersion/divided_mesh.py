@@ -1,4 +1,4 @@
-"""What ranks find on a mesh that is divided among them: test_mpi.py runs it by mpiexec, and on its own rank.
+"""Results of ranks on a mesh that is divided among them. test_mpi.py runs this by mpiexec, and on a single rank.
 
 python divided_mesh.py FILE OPTIONS        OPTIONS: those of a model ad_ins, JSON; FILE: .npz
 """
@@ -26,14 +26,14 @@ CENTRE = np.array([30.0, 5.0])
 
 
 def gathered(comm, space, values):
-    """Return places (m, 2) and values (m, k) of all ranks, of the dofs of a space that each owns."""
+    """Return places (m, 2) and values (m, k) of all ranks: of the dofs of a space that each rank owns."""
     places = space.tabulate_dof_coordinates()[: space.dofmap.index_map.size_local, :2]
     rows = np.column_stack([places, values.reshape(len(places), -1)])
     return np.concatenate(comm.allgather(rows))
 
 
 def winds(comm, tagged, boundary):
-    """A wind from Stokes flow, and another one from it: velocities, pressures, and the last one as a function."""
+    """A wind from Stokes flow, and another from the first: velocities, pressures, and the last wind as a function."""
     solver = WindSolver(tagged, WindOptions(viscosity=10.0, tolerance=TOLERANCE, boundary=boundary))
     problem, found, unit = solver.problem, {}, None
     for name, intensity, direction in (("first", 5.0, 0.5), ("second", 6.0, 1.2)):
@@ -45,7 +45,7 @@ def winds(comm, tagged, boundary):
 
 
 def clouds(comm, tagged, scheme, flow):
-    """A bell after four steps with a source, in a wind around buildings and in one that is the same everywhere."""
+    """A Gaussian cloud after four steps with a source, in a wind around buildings and in a uniform wind."""
     transport = Transport(tagged, TransportOptions(scheme=scheme, tolerance=1e-13), 1.0)
     winds = {"flow": flow, "uniform": transport.uniform_velocity(4.0, 2.0)}
     winds["strong"] = transport.uniform_velocity(60.0, 2.0)
@@ -61,7 +61,7 @@ def clouds(comm, tagged, scheme, flow):
 
 
 def forecasts(comm, options):
-    """Three members of a model stepped three times, and the winds that they remember, all of it on every rank."""
+    """Three members of a model stepped three times, and the winds in their memory, whole on every rank."""
     model = build(AdvectionDiffusionINS, options | {"noise": 0.1, "wind": {"tolerance": TOLERANCE}}, "model")
     if comm.size > 1:
         model.distribute(comm)
@@ -73,7 +73,7 @@ def forecasts(comm, options):
 
 
 def failures(comm, tagged):
-    """What each rank is told where something is wrong, on one of them alone in some cases."""
+    """The error on each rank if something is wrong, in some cases on one rank alone."""
 
     def bad_start():
         solver = WindSolver(tagged, WindOptions())

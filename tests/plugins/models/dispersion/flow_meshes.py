@@ -1,4 +1,4 @@
-"""Small triangle meshes with tagged boundaries: squares cut in four, so that a quarter turn maps them to themselves."""
+"""Small triangle meshes with tagged boundaries: squares cut in four; a quarter turn maps them to themselves."""
 
 import dolfinx_solver  # noqa: F401  (before dolfinx)
 
@@ -13,7 +13,7 @@ from dafw.plugins.models.dispersion.mesh.tagged import OUTER, WALL, TaggedMesh
 
 
 def rectangle(columns, rows, size=(1.0, 1.0), holes=()):
-    """A rectangle from the origin; ``holes`` are (x0, y0, x1, y1) along lines of the grid, and may touch its rim."""
+    """A rectangle from the origin; ``holes`` are (x0, y0, x1, y1) along lines of the grid, and may touch its edge."""
     x, y = np.linspace(0, size[0], columns + 1), np.linspace(0, size[1], rows + 1)
     corners = np.array([(a, b) for b in y for a in x])
     centres = np.array([(a, b) for b in (y[1:] + y[:-1]) / 2 for a in (x[1:] + x[:-1]) / 2])

@@ -6,7 +6,7 @@ CERTAIN = {"wind_speed_sd": 0.0, "wind_direction_sd": 0.0, "noise": 0.0}
 
 
 def small_study(model, truth, executor, **changes):
-    """Return a study whose belief is ``model`` with noise; truth and free run are it, but certain."""
+    """Return a study whose belief is ``model`` with noise; truth and free run are the same without unknowns."""
     return study_from(
         {
             "model": {"name": "ad_ins", **model, "noise": 0.1},

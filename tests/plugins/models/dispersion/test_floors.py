@@ -1,4 +1,4 @@
-"""The imports among the modules of the dispersion models lead downwards only, in every function, too."""
+"""The modules of the dispersion models import only from lower ones, also within functions."""
 
 import ast
 import subprocess
@@ -26,7 +26,7 @@ ORDER = (
     "unknowns",
     "model",
 )
-"""Rooms and modules from the lowest on; nothing imports what stands after it."""
+"""Folders and modules, the lowest first; no module imports a later one."""
 
 
 def modules():
@@ -52,7 +52,7 @@ def imports():
 
 
 def floors(graph):
-    """Return the length of the longest chain of imports; raises graphlib.CycleError where there is a circle."""
+    """Return the length of the longest chain of imports; raises graphlib.CycleError if there is a circle."""
     height = {}
     for name in TopologicalSorter(graph).static_order():
         height[name] = 1 + max((height[below] for below in graph.get(name, ())), default=0)

@@ -27,7 +27,7 @@ def step(model, forecast, cycle=0):
 
 
 def with_wind(model, forecast, speed=None, direction=None):
-    """Return the forecast with other winds, as an analysis would leave it."""
+    """Return the forecast with other winds, as after an analysis."""
     members = forecast.ensemble.members.copy()
     state = model.space.unpack(members)
     if speed is not None:
@@ -65,7 +65,7 @@ def test_the_wind_is_solved_at_first_and_then_only_past_the_thresholds(model):
 
 def test_direction_thresholds_compare_wrapped_differences(model):
     memory = {"speed": np.full(2, 3.0), "direction": np.array([0.01, 6.27])}
-    # the other side of the seam is 0.04 away, within 5 % of 6.27 but not of 0.026
+    # the direction on the other side of 0 = 2 pi is 0.04 away, within 5 % of 6.27 but not of 0.026
     due = model.due(np.full(2, 3.0), np.array([6.27, 0.026]), memory)
     assert due.tolist() == [False, True]
 
@@ -109,7 +109,7 @@ def test_members_without_a_matrix_of_their_own_get_the_same_bits(small_model, mo
     plenty, few = make(small_model), make(small_model)
     expected = step(plenty, begin(plenty, 4))
     monkeypatch.setattr(transport, "SYSTEMS_BYTES", 0.0)
-    for _ in range(2):  # the second time, the one that is shared holds the last member's
+    for _ in range(2):  # in the second step the shared system is that of the last member
         np.testing.assert_array_equal(step(few, begin(few, 4)).ensemble.members, expected.ensemble.members)
     assert (len(plenty._systems), len(few._systems)) == (4, 2)
 

@@ -1,4 +1,4 @@
-"""Two ranks of mpiexec on one domain find what one process finds, and a run of theirs is the run of one."""
+"""Two ranks of mpiexec on one domain have the results of one process, and so does a whole run."""
 
 import dolfinx_solver  # noqa: F401  (before dolfinx)
 
@@ -63,13 +63,13 @@ def mesh_file(options):
 
 @pytest.fixture(scope="module")
 def alone(options):
-    """What one process finds."""
+    """The results of one process."""
     return results(MPI.COMM_SELF, options)
 
 
 @pytest.fixture(scope="module")
 def divided(options, mesh_file, tmp_path_factory):
-    """What two ranks find."""
+    """The results of two ranks."""
     folder = tmp_path_factory.mktemp("divided")
     ended = mpiexec(HERE / "divided_mesh.py", folder / "found.npz", json.dumps(options), cwd=folder)
     assert ended.returncode == 0, ended.stderr
@@ -267,7 +267,7 @@ def test_a_rank_looks_the_mesh_up_once(options, monkeypatch):
 
 
 def test_other_commands_are_refused_by_one_rank_and_load_no_mpi(folder):
-    # A file for each rank: what two of them print at once may be mixed up.
+    # A file for each rank, because the output of two ranks may be mixed.
     code = "import os, sys, pathlib; from dafw.commands import main; status = main(['plugins']); "
     code += "pathlib.Path(f'{os.getpid()}.rank').write_text(f'{status} {\"mpi4py\" in sys.modules}')"
     ended = mpiexec("-c", code, cwd=folder)

@@ -1,4 +1,4 @@
-"""A study around buildings gives the same file whichever executor stepped its members, and whatever ran before."""
+"""A study around buildings gives the same file with every executor, and after any earlier runs."""
 
 import netCDF4
 import pytest

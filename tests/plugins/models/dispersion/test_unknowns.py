@@ -1,4 +1,4 @@
-"""What a study estimates besides the wind is part of the state, with a prior; what it does not stays fixed."""
+"""Numbers that a study estimates besides the wind are part of the state, with a prior; the others stay fixed."""
 
 from __future__ import annotations
 

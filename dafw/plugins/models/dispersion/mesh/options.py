@@ -11,8 +11,10 @@ from dafw.core.options import option
 class MeshOptions:
     """How long the sides of the triangles are."""
 
-    wall_size: float = option(16.0, "m; side of the triangles at the walls of buildings", above=0.0)
-    far_size: float = option(24.0, "m; side of the triangles far from any wall", above=0.0)
-    transition: float = option(100.0, "m; distance from a wall at which the far size is reached", above=0.0)
-    across: int = option(2, "triangles across a passage, with sides of at least a quarter of the wall size", minimum=1)
-    max_nodes: int = option(1_000_000, "refuse a mesh that would have more nodes than about this", minimum=1)
+    wall_size: float = option(16.0, "side of the triangles at the walls of buildings, in metres", above=0.0)
+    far_size: float = option(24.0, "side of the triangles far from all walls, in metres", above=0.0)
+    transition: float = option(100.0, "distance from a wall at which far_size is reached, in metres", above=0.0)
+    across: int = option(
+        2, "triangles across a passage, as far as their sides are at least a quarter of wall_size", minimum=1
+    )
+    max_nodes: int = option(1_000_000, "a mesh that would have more nodes than about this number is refused", minimum=1)

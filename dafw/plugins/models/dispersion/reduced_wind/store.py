@@ -101,7 +101,7 @@ class BasisStore:
             others = DIGEST.fullmatch(digest) and any(cache.glob(f"*/{digest}.npz"))
             what = "is one of another mesh or of other wind options in" if others else "is not in"
             raise ConfigurationError(
-                f"wind: the reduced basis {digest} {what} the cache {cache}; leave basis.digest empty to have one made"
+                f"wind: the reduced basis {digest} {what} the cache {cache}; leave basis.digest empty to make a new one"
             )
         if _digest(content) != digest:
             raise ConfigurationError(f"wind: the reduced basis {path} is damaged; delete it")

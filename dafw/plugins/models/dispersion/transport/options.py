@@ -39,6 +39,6 @@ def require_one_process(options: TransportOptions) -> None:
     ):
         if chosen not in usable:
             raise ConfigurationError(
-                f"transport: {name} '{chosen}' works in one process, expected '{"' or '".join(usable)}' on a mesh "
-                "that is divided among several"
+                f"transport: {name} '{chosen}' works in one process, expected '{"' or '".join(usable)}' on a mesh that "
+                "is divided among several"
             )

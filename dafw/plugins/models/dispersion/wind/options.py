@@ -12,10 +12,14 @@ from dafw.core.options import option
 class BasisOptions:
     """Options of the reduced basis: which winds are solved for it, and how far it is trusted."""
 
-    directions: int = option(32, "directions, over the full circle, of the winds that it is made from", minimum=4)
-    levels: int = option(5, "intensities in each direction, denser towards calm", minimum=1)
-    max_intensity: float = option(12.0, "m/s; the strongest wind that it is made from", above=0.0)
-    modes: int = option(160, "modes kept; an enriched basis has up to twice as many", minimum=1)
+    directions: int = option(
+        32, "number of directions, over the full circle, of the winds that the basis is made from", minimum=4
+    )
+    levels: int = option(5, "number of intensities in each direction, denser towards calm", minimum=1)
+    max_intensity: float = option(
+        12.0, "intensity of the strongest wind that the basis is made from, in m/s", above=0.0
+    )
+    modes: int = option(160, "largest number of modes; an enriched basis has up to twice as many", minimum=1)
     tolerance: float = option(
         0.01,
         "estimated relative L2 error of the velocity above which the full equations are solved",
@@ -27,7 +31,10 @@ class BasisOptions:
         "add the winds that runs solved in full to the basis of later runs: these are faster, but the same seed then "
         "gives other bits; false: the basis stays as it was made",
     )
-    digest: str = option("", "the basis to use, as an earlier run recorded it; empty: as made, or enriched")
+    digest: str = option(
+        "",
+        "digest of the basis to use, recorded by an earlier run; empty: the basis as made or, with enrich, the newest",
+    )
 
 
 @dataclass
@@ -41,25 +48,30 @@ class WindOptions:
         choices=("constant", "proportional"),
     )
     reference_intensity: float = option(
-        5.0, "wind in m/s at which the proportional closure has the given viscosity", above=0.0
+        5.0, "wind intensity in m/s at which the proportional closure has the given viscosity", above=0.0
     )
     boundary: str = option(
         "uniform",
-        "uniform: the wind is prescribed all round; outflow: no condition where it leaves (do-nothing)",
+        "uniform: the wind is prescribed on the whole outer boundary; outflow: not where it leaves (do-nothing)",
         choices=("uniform", "outflow"),
     )
     tolerance: float = option(
-        1e-8, "residual norm accepted, relative to that of the boundary wind alone", above=0.0, maximum=1e-2
+        1e-8,
+        "accepted residual norm, relative to the residual norm of a wind that is zero inside",
+        above=0.0,
+        maximum=1e-2,
     )
-    max_iterations: int = option(12, "factorisations in one Newton iteration", minimum=1)
-    max_steps: int = option(40, "Newton iterations in one continuation from Stokes flow", minimum=1)
+    max_iterations: int = option(12, "largest number of factorisations in one run of Newton's method", minimum=1)
+    max_steps: int = option(
+        40, "largest number of runs of Newton's method in one continuation from Stokes flow", minimum=1
+    )
     solver: str = option(
         "newton",
-        "newton; accelerated: from a reduced basis to the same tolerance; reduced: in the basis, to its tolerance",
+        "newton; accelerated: starts from a reduced basis, same tolerance; reduced: in the basis, to its tolerance",
         choices=("newton", "accelerated", "reduced"),
     )
-    keep_factorisation: bool = option(True, "newton: use a factorisation again while it reduces the residual well")
-    basis: BasisOptions = option(BasisOptions, "the reduced basis of the accelerated and the reduced solver")
+    keep_factorisation: bool = option(True, "newton: use a factorisation again as long as it reduces the residual well")
+    basis: BasisOptions = option(BasisOptions, "the reduced basis that the accelerated and the reduced solver use")
 
 
 def require_uniform(options: WindOptions) -> None:

@@ -16,7 +16,7 @@ from dafw.plugins.models.dispersion.fem.taylor_hood import TaylorHood
 
 
 def solve_with_exact_boundary(problem, velocity, pressure, reynolds, load=None, free=None):
-    """The discrete solution with the velocity given on all of the boundary but where ``free`` marks points of it."""
+    """The discrete solution with the velocity given on the whole boundary except at points that ``free`` marks."""
     exact = np.zeros(problem.unknowns)
     for space, dofs, function in (
         (problem.velocity_space, problem.velocity_dofs, velocity),

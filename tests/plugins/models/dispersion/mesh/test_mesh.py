@@ -75,7 +75,7 @@ def twice_areas(nodes, triangles):
     return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
 
 
-# --- what a mesh is -------------------------------------------------------------------------------------------------
+# --- properties of a mesh ---------------------------------------------------------------------------------------------
 
 
 def test_tags_cover_the_whole_boundary_and_nothing_else(plant):
@@ -126,7 +126,7 @@ def test_the_default_mesh_of_the_plant_has_the_size_and_the_quality_of_the_study
 
 
 def test_no_passage_of_the_plant_is_one_triangle_wide(plant):
-    """A side that joins two buildings is a passage without a node in it: there must be hardly any."""
+    """A side that joins two buildings is a passage without a node in it: there must be hardly any such side."""
     nodes, triangles = topology(plant.tagged)
     distance = shapely.distance(shapely.points(nodes)[:, None], np.asarray(plant.site.buildings, dtype=object)[None])
     owner = np.where(distance.min(axis=1) < 1e-6, distance.argmin(axis=1), -1)
@@ -192,7 +192,7 @@ def test_equal_input_gives_equal_bytes_here_and_in_another_process(cache, monkey
             stdout=subprocess.PIPE,
             text=True,
         )
-        for _ in range(2)  # at once, into the same folder
+        for _ in range(2)  # at the same time, into the same folder
     ]
     for maker in makers:
         made = Path(maker.communicate(timeout=PATIENCE)[0].strip())

@@ -1,4 +1,4 @@
-"""Reduced bases on disk: whole, shared, enriched by several processes, made anew where damaged."""
+"""Reduced bases on disk: complete, shared, enriched by several processes, made again if damaged."""
 
 import logging
 import os
@@ -123,7 +123,7 @@ def test_old_bases_that_nobody_used_for_weeks_go(tmp_path, basis, caplog):
     long_ago = time.time() - 1.1 * store_module.UNUSED
     for k, digest in enumerate([made, *digests]):
         os.utime(tmp_path / f"{digest}.npz", (long_ago, long_ago + k))
-    store.load(digests[1])  # used now
+    store.load(digests[1])  # so this one was used recently
     newest = store.save(replace(basis, gram=9.0 * basis.gram), "enriched")
     left = {path.stem for path in tmp_path.glob("*.npz")}
     assert left == {made, digests[1], digests[3], digests[4], newest}
@@ -184,7 +184,7 @@ def test_winds_solved_in_full_enrich_the_next_basis_and_not_the_one_in_use(block
     assert richer.trusts(found.unit)
     wind, full = richer.velocity(found).x.array, solver.velocity(strong).x.array
     assert np.linalg.norm(wind - full) < 1e-5 * np.linalg.norm(full)
-    assert wind_solver(block, pinned).digest == solver.digest  # who wants the old one still has it
+    assert wind_solver(block, pinned).digest == solver.digest  # the old basis is still available by its digest
 
 
 def test_a_wind_that_the_basis_knows_by_then_adds_nothing(block, cache):
@@ -192,7 +192,7 @@ def test_a_wind_that_the_basis_knows_by_then_adds_nothing(block, cache):
     first.solve(6.0, 0.5)
     richer = wind_solver(block, ENRICH)
     late = wind_solver(block, replace(OPTIONS, basis=replace(ENRICH.basis, digest=first.digest)))
-    late.solve(6.0, 0.5)  # a run that began before, and meets the same wind
+    late.solve(6.0, 0.5)  # a run that began earlier, with the same wind
     assert len(list((only_folder(cache) / "waiting").iterdir())) == 1
     assert wind_solver(block, ENRICH).digest == richer.digest
     assert not list((only_folder(cache) / "waiting").iterdir())
@@ -223,7 +223,7 @@ def test_a_wind_that_cannot_be_read_is_put_away(block, cache, caplog):
     (waiting / "folder.npz").mkdir()
     BasisStore(only_folder(cache)).submit(0.1, 0.2, np.zeros(3))
     assert wind_solver(block, ENRICH).digest == digest
-    assert [path.name for path in waiting.iterdir()] == ["folder.npz"]  # which is none of ours
+    assert [path.name for path in waiting.iterdir()] == ["folder.npz"]  # which is not a file of the store
     assert caplog.text.count("cannot be used") == 3
 
 
@@ -268,7 +268,7 @@ def test_mesh_and_basis_tidy_up_after_the_dead(small_site, cache, basis):
 
 
 def dead(folder):
-    """Return what a process that was killed left in a folder."""
+    """Return the unfinished folder that a killed process left."""
     code = "import os, sys; from pathlib import Path; from dafw.core.making import making; "
     code += "block = making(Path(sys.argv[1])); print(block.__enter__(), flush=True); os.kill(os.getpid(), 9)"
     made = subprocess.run([sys.executable, "-c", code, str(folder)], capture_output=True, text=True, timeout=PATIENCE)

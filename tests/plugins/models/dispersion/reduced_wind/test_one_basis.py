@@ -1,4 +1,4 @@
-"""One run, one basis: belief, truth and free run share it, it is named in the run's file, and gives the run again."""
+"""A run uses one basis: belief, truth and free run share it; its digest is in the run's file and repeats the run."""
 
 import json
 
@@ -32,7 +32,7 @@ def study(small_model, tmp_path, monkeypatch):
 
 
 def outside(solver):
-    """Have the solver meet a wind that its basis does not know."""
+    """Let the solver solve a wind that its basis does not represent."""
     found = solver.solve(9.0, 0.7)
     assert not solver.trusts(found.unit)
 
@@ -64,9 +64,9 @@ def test_one_site_and_one_list_of_nodes_for_all(study, monkeypatch):
 def test_a_run_that_enriches_has_one_basis_and_the_next_the_newest(study):
     first, _ = study(enrich=True).prepare()
     outside(first.model.solver)
-    second, _ = study(enrich=True).prepare()  # in the same process, the first still there
-    assert second.model.solver.digest != first.model.solver.digest  # which has taken the wind in meanwhile,
-    assert first.truth.solver.digest == first.model.solver.digest  # before the first run's truth was asked
+    second, _ = study(enrich=True).prepare()  # in the same process, while the first still exists
+    assert second.model.solver.digest != first.model.solver.digest  # the basis now has the wind,
+    assert first.truth.solver.digest == first.model.solver.digest  # but the first run still uses the old basis
 
 
 @pytest.mark.parametrize("executor", ["serial", "processes"])
@@ -75,19 +75,19 @@ def test_the_same_study_twice_gives_the_same_bits(study, tmp_path, executor):
     (folder,) = (tmp_path / "cache").glob("wind-basis-*")
     on_disk = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
     with netCDF4.Dataset(tmp_path / "first" / "run.nc") as file:
-        assert (file["wind_speed_members"][1:] > BASIS["max_intensity"]).any()  # winds that the basis does not know
+        assert (file["wind_speed_members"][1:] > BASIS["max_intensity"]).any()  # winds that are not in the basis
     assert run_study(study(executor=executor), tmp_path / "second")["pinned"] == summary["pinned"]
     assert contents(tmp_path / "second") == contents(tmp_path / "first")
     assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == on_disk
 
     run_study(study(executor=executor, enrich=True), tmp_path / "leaving winds")
-    assert contents(tmp_path / "leaving winds") == contents(tmp_path / "first")  # the basis was enriched by nobody yet
+    assert contents(tmp_path / "leaving winds") == contents(tmp_path / "first")  # nothing has enriched the basis yet
     richer = run_study(study(executor=executor, enrich=True), tmp_path / "richer")
     digest = richer["pinned"]["model"]["wind"]["basis"]["digest"]
     assert digest != summary["pinned"]["model"]["wind"]["basis"]["digest"]
     assert contents(tmp_path / "richer") != contents(tmp_path / "first")
     assert modes(folder, digest) > modes(folder, (folder / "made").read_text())
-    run_study(study(executor=executor), tmp_path / "third")  # what others added changes nothing
+    run_study(study(executor=executor), tmp_path / "third")  # winds that others added change nothing
     assert contents(tmp_path / "third") == contents(tmp_path / "first")
 
 

@@ -1,4 +1,4 @@
-"""The reduced wind: exact projection, reliable estimate, fall-back; the same bits whatever was solved before."""
+"""The reduced wind: exact projection, reliable error estimate, fall-back; the bits do not depend on earlier solves."""
 
 from dataclasses import replace
 
@@ -42,7 +42,7 @@ def solver(block, cache):
 
 @pytest.fixture(scope="module")
 def cache(tmp_path_factory):
-    """A cache folder of this module's own."""
+    """A cache folder for this module."""
     with pytest.MonkeyPatch.context() as patch:
         folder = tmp_path_factory.mktemp("cache")
         patch.setenv("DAFW_CACHE", str(folder))
@@ -89,7 +89,7 @@ def test_reduced_equations_are_the_full_ones_tested_with_the_modes(solver, refer
         unknowns[problem.velocity_dofs] = basis.velocities @ coefficients
         full = modes.T @ problem.residual(unknowns, reynolds)[problem.velocity_dofs]
         reduced = coefficients[2:] + reynolds * np.einsum("ijk,j,k->i", basis.quadratic, coefficients, coefficients)
-        # the lifts are orthogonal to the modes only as far as the snapshots are free of divergence
+        # the lifts are orthogonal to the modes only to the accuracy to which the snapshots are divergence-free
         np.testing.assert_allclose(reduced, full, atol=1e-7)
         convection = problem.residual(unknowns, 1.0) - problem.residual(unknowns, 0.0)
         exact = modes.T @ convection[problem.velocity_dofs]
@@ -145,7 +145,7 @@ def test_the_estimate_bounds_the_error_of_winds_it_never_saw(solver, reference, 
         error = relative_error(space, solver.flow.basis.velocities @ found.coefficients, wanted)
         assert error <= found.error
         ratios.append(found.error / error)
-    assert max(ratios) < 6.0  # and not by much
+    assert max(ratios) < 6.0  # but not much larger
 
 
 def test_the_functionals_measure_the_stokes_flow_of_what_is_left(solver, space, reference):
@@ -205,8 +205,8 @@ def test_accelerated_winds_are_those_of_newton(block, solver, reference):
             accelerated.velocity(found, 1.0).x.array, reference.velocity(wanted, 1.0).x.array, atol=1e-6
         )
     found = accelerated.solve(2.2, 3.3)
-    assert found.iterations == 0  # no factorisation of its own
-    seen = reference.solve(2.2, 3.3, found.unit)  # Newton has nothing to do, and measures the residual alike
+    assert found.iterations == 0  # it made no factorisation
+    seen = reference.solve(2.2, 3.3, found.unit)  # Newton takes no step, and computes the same residual
     assert seen.iterations == 0
     np.testing.assert_allclose(seen.residual, found.residual, rtol=1e-12)
 
@@ -276,7 +276,7 @@ def test_a_study_with_a_cheap_wind_is_that_with_newtons(small_model, tmp_path, m
         for cycle in range(3):
             belief = model.forecast(belief.ensemble, belief.memory, streams.members("error", cycle))
         members[kind] = belief.ensemble.members
-    bound = 1e-6 if name == "accelerated" else 0.01  # to the tolerance of the wind; the gas is 1 at its highest
+    bound = 1e-6 if name == "accelerated" else 0.01  # to the tolerance of the wind; the largest concentration is 1
     assert np.abs(members[name] - members["newton"]).max() < bound
     assert not np.array_equal(members[name], members["newton"])
 

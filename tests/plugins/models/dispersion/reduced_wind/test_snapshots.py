@@ -1,4 +1,4 @@
-"""The winds of a basis: the same bits however many processes solve them, and what becomes of those without solution."""
+"""The winds of a basis: the same bits for any number of processes; winds without a solution are left out."""
 
 import json
 import logging
@@ -34,7 +34,7 @@ def with_cores(monkeypatch, count):
 @pytest.mark.parametrize("levels", [1, 2])
 def test_a_derivative_reaches_half_way_to_the_next_wind(mesh, levels):
     basis = BasisOptions(directions=4, levels=levels, max_intensity=4.0)
-    solver = WindSolver(mesh, WindOptions(basis=basis, keep_factorisation=False))  # a kept one is of an earlier step
+    solver = WindSolver(mesh, WindOptions(basis=basis, keep_factorisation=False))  # kept ones are inexact
     found = row(solver, 0.3)
     by_reynolds = found.derivatives[:, -2]  # at the strongest wind
     step = 1e-3

@@ -1,4 +1,4 @@
-"""Sites: exact geometry for footprints drawn in metres, invariants for random ones, one clear line for what is bad."""
+"""Sites: exact geometry for footprints drawn in metres, invariants for random ones, a one-line error for bad files."""
 
 import json
 from pathlib import Path
@@ -33,13 +33,13 @@ def feature(geometry, **properties):
     return {"type": "Feature", "properties": {"building": "yes", **properties}, "geometry": geometry}
 
 
-# two far corners that pin the centre of every site to the origin
+# two distant corners, so that the centre of every site is the origin
 POSTS = [feature(polygon(rectangle(*post))) for post in ((-200, -200, -190, -190), (190, 190, 200, 200))]
 
 
 @pytest.fixture
 def site_of(tmp_path):
-    """Return a function that writes features to a file and loads the site; posts pin its origin."""
+    """Return a function that writes features to a file and loads the site; two posts fix its origin."""
 
     def make(*features, posts=True, **options):
         path = tmp_path / "site.geojson"
@@ -67,7 +67,7 @@ def assert_well_posed(site, narrowest_gap=4.0, rim=20.0):
     )
     for i, first in enumerate(site.buildings):
         for second in site.buildings[:i]:
-            # taking out short sides moves a wall by less than their length, an eighth of the gap
+            # removing short sides moves a wall by less than their length, an eighth of the gap
             assert first.distance(second) > 0.75 * narrowest_gap
     assert len(site.names) == len(site.types) == len(site.buildings) == site.report["buildings"]
 
@@ -109,7 +109,7 @@ def test_a_hole_is_filled(site_of):
 def test_a_bow_tie_is_repaired_and_a_flat_ring_is_dropped(site_of):
     bow_tie = [[0, 0], [40, 40], [40, 0], [0, 40], [0, 0]]
     site = site_of(feature(polygon(bow_tie)), feature(polygon([[0, -50], [30, -50], [60, -50], [0, -50]])))
-    # the two halves touch in a point: joined there, they are one building of 800 m^2 and a little
+    # the two halves touch at a point: joined there, they are one building of slightly more than 800 m^2
     assert sum(b.area for b in drawn(site)) == pytest.approx(800, rel=0.06)
     assert site.report["repaired"] == 1 and site.report["degenerate"] == 1
     assert_well_posed(site)

@@ -1,4 +1,4 @@
-"""The steady wind: symmetries, exact flows, limits, and refusal of whatever has not converged."""
+"""The steady wind: symmetries, exact flows, limits, and an error if it has not converged."""
 
 import dolfinx_solver  # noqa: F401  (before dolfinx)
 
