@@ -122,6 +122,7 @@ class _Run:
                 with_members=_with_members(study, parts),
                 section=np.array(study.section, dtype=np.float64).reshape(-1, 2),
                 attributes=file_attributes(study, summary.pinned),
+                fields=study.record_fields,
             )
         logged = 0.0
         with progress(study.cycles) as bar:

@@ -13,7 +13,15 @@ from dafw.core.errors import RunError
 from dafw.core.files import atomic_file
 from dafw.core.runs import open_run
 from dafw.core.sweeps import RECORD, is_sweep, run_folders, sweep_folder
-from dafw.views.contents import has_innovations, has_map, has_section, has_truth, scalar_variables, scored_variable
+from dafw.views.contents import (
+    has_every_field,
+    has_innovations,
+    has_map,
+    has_section,
+    has_truth,
+    scalar_variables,
+    scored_variable,
+)
 from dafw.views.innovations import plot_innovations
 from dafw.views.maps import plot_contours, plot_route
 from dafw.views.section import plot_section
@@ -43,7 +51,7 @@ def draw_all(run: Dataset, folder: Path) -> list[Path]:
     if has_map(run):
         pictures["route"] = lambda: plot_route(one)
         pictures["contours"] = lambda: plot_contours(run)
-    elif scored.ndim == 2 and run.sizes["time"] > 1:
+    elif scored.ndim == 2 and run.sizes["time"] > 1 and has_every_field(run):
         pictures["state"] = lambda: plot_state(run)
     if has_section(run):
         pictures["section"] = lambda: plot_section(run)
