@@ -57,7 +57,7 @@ def draw_all(run: Dataset, folder: Path) -> list[Path]:
         pictures["section"] = lambda: plot_section(run)
     if scalar_variables(run):
         pictures["parameters"] = lambda: plot_parameters(run)
-    return [_save(draw(), Path(folder) / f"{name}.png") for name, draw in pictures.items()]
+    return [save(draw(), Path(folder) / f"{name}.png") for name, draw in pictures.items()]
 
 
 def compare(runs: Mapping[str, Dataset], folder: Path) -> list[Path]:
@@ -74,7 +74,7 @@ def compare(runs: Mapping[str, Dataset], folder: Path) -> list[Path]:
     ):
         without = [text for text, run in runs.items() if not has_content(run)]
         if not without or (name != "route" and len(without) < len(runs)):
-            files.append(_save(draw(runs), Path(folder) / f"{name}.png"))
+            files.append(save(draw(runs), Path(folder) / f"{name}.png"))
         if 0 < len(without) < len(runs):
             what = "no route.png" if name == "route" else f"not in {name}.png"
             print(f"dafw: {', '.join(without)}: {lacking}, so {what}", file=sys.stderr)
@@ -168,7 +168,7 @@ def _short(override: str) -> str:
     return override if len(override) <= LONGEST_OVERRIDE else f"{override[: LONGEST_OVERRIDE - 3]}..."
 
 
-def _save(figure: Figure, file: Path) -> Path:
+def save(figure: Figure, file: Path) -> Path:
     """Write the picture; if this is interrupted, the former file stays, if there was one."""
     file.parent.mkdir(parents=True, exist_ok=True)
     with atomic_file(file) as stream:
