@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from argparse import Namespace
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
@@ -82,7 +81,9 @@ def _chosen(whole: Any, patterns: Sequence[str] | None) -> Any:
     names = [one.name for one in whole.configurations]
     for pattern in patterns:
         if not any(fnmatchcase(name, pattern) for name in names):
-            raise ConfigurationError(f"study '{whole.name}' has no configuration '{pattern}' (it has: {'; '.join(names)})")
+            raise ConfigurationError(
+                f"study '{whole.name}' has no configuration '{pattern}' (it has: {'; '.join(names)})"
+            )
     chosen = [one for one in whole.configurations if any(fnmatchcase(one.name, pattern) for pattern in patterns)]
     return replace(whole, configurations=tuple(chosen))
 

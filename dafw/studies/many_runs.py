@@ -1,8 +1,8 @@
 """The folder of a study of many runs: what was asked for, which runs are there, and running those that are missing.
 
-    FOLDER/request.json                       the composed configurations, so that other ones are never mixed in
-    FOLDER/runs/CONFIGURATION/seed=N/         one run each, as ``dafw run`` leaves it
-    FOLDER/study.nc, summary.json, table.md, figures/    the results (``dafw.studies.results``)
+FOLDER/request.json                       the composed configurations, so that other ones are never mixed in
+FOLDER/runs/CONFIGURATION/seed=N/         one run each, as ``dafw run`` leaves it
+FOLDER/study.nc, summary.json, table.md, figures/    the results (``dafw.studies.results``)
 """
 
 from __future__ import annotations

@@ -75,7 +75,11 @@ def _time_to_success(joined: Dataset, success: float) -> Variable:
     found = np.where(status == "failed", np.inf, np.full(status.shape, np.nan))
     if "err" in joined:
         err = joined["err"].transpose(*dims, "time").values
-        time = joined["row_time" if "row_time" in joined else "time"].broadcast_like(joined["err"]).transpose(*dims, "time")
+        time = (
+            joined["row_time" if "row_time" in joined else "time"]
+            .broadcast_like(joined["err"])
+            .transpose(*dims, "time")
+        )
         for place in map(tuple, np.argwhere(status == "complete")):
             known = np.flatnonzero(np.isfinite(err[place]))
             if known.size:

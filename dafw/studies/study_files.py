@@ -81,8 +81,15 @@ def load_study(name: str, more: Path | None = None, overrides: Sequence[str] = (
         raise ConfigurationError(f"study '{name}': {explained(error)}") from error
     except yaml.YAMLError as error:
         raise ConfigurationError(f"study '{name}': no YAML ({' '.join(str(error).split())})") from error
-    if not isinstance(entries, dict) or found.defaults_list:
-        raise ConfigurationError(f"study '{name}': expected a mapping without a defaults list; experiments have those")
+    if found.defaults_list:
+        raise ConfigurationError(f"study '{name}': a study file has no defaults list; its experiments have")
+    return study_of(name, entries, overrides)
+
+
+def study_of(name: str, entries: Any, overrides: Sequence[str] = ()) -> ManyRuns:
+    """Return the study that the entries of a file describe; raises ConfigurationError, which names the study."""
+    if not isinstance(entries, Mapping):
+        raise ConfigurationError(f"study '{name}': expected a mapping, got {entries!r}")
     where = f"study '{name}'"
     file = build(StudyFile, entries, where)
     return ManyRuns(
@@ -147,7 +154,10 @@ def _axis(name: str, values: Any, where: str) -> dict[str, list[str]]:
     if isinstance(values, dict) and values and all(_are_texts(words) for words in values.values()):
         return {str(label): list(words) for label, words in values.items()}
     if isinstance(values, list) and values and not any(isinstance(value, list | dict | None) for value in values):
-        return {text: [f"{name}={text}"] for text in map(_written, values)}
+        texts = [_written(value) for value in values]
+        if len(set(texts)) < len(texts):
+            raise ConfigurationError(f"{where}: axis '{name}' has the same value twice: {values!r}")
+        return {text: [f"{name}={text}"] for text in texts}
     raise ConfigurationError(
         f"{where}: axis '{name}' must be a list of values, or a mapping of names to lists of overrides, got {values!r}"
     )

@@ -23,7 +23,7 @@ SEED = 20_240_611
 CLOSE = {"wind_found_rate": (0.05, 5.0), "wind_found_rate_2": (0.02, 2.0)}
 """How near the last wind must be to the truth: its speed as a fraction, its direction in degrees."""
 
-type Statistic = tuple[Array, Callable[..., Any], bool]
+type Statistic = tuple[Any, Callable[..., Any], bool]
 """Values of the runs (n,), what is made of them along an axis, and whether it is a rate."""
 
 
@@ -93,6 +93,10 @@ def _statistics(one: Dataset, success: float) -> Iterator[tuple[str, Statistic]]
             return nothing
         return np.where(np.isnan(values), np.inf, values)[ended]
 
+    def known(values: Array) -> Array:
+        """Return the numbers of the complete runs that have one."""
+        return values[complete & np.isfinite(values)]
+
     final, free = _of_seeds(one, "err_final"), _of_seeds(one, "err_free_final")
     err, ratio = among_ended(final), among_ended(final / free)
     yield "success_rate", (err < success, np.mean, True)
@@ -103,26 +107,22 @@ def _statistics(one: Dataset, success: float) -> Iterator[tuple[str, Statistic]]
     for name, (share, degrees) in CLOSE.items():
         speed = _of_seeds(one, "final_wind_speed_off") / _of_seeds(one, "final_wind_speed_truth")
         direction = np.degrees(_of_seeds(one, "final_wind_direction_off"))
-        known = np.isfinite(speed + direction)
-        found = (np.abs(speed) <= share) & (np.abs(direction) <= degrees) & known
-        has_wind = known.any() or ("final_wind_speed_off" in one and not complete.any())
+        both = np.isfinite(speed + direction)
+        found = (np.abs(speed) <= share) & (np.abs(direction) <= degrees) & both
+        has_wind = both.any() or ("final_wind_speed_off" in one and not complete.any())
         yield name, (found[ended] if has_wind else nothing, np.mean, True)
     yield "median_time_to_50", (among_ended(_of_seeds(one, "time_to_success")), np.median, False)
-    for name in one.data_vars:
-        if (parameter := str(name).removesuffix("_inside")) != name:
-            inside = _of_seeds(one, str(name))[complete]
-            rate = inside[np.isfinite(inside)] > 0.0
-            yield f"coverage_{parameter.removeprefix('final_')}", (rate, np.mean, True)
-    amount = _of_seeds(one, "amount_ratio")[complete]
-    amount = amount[np.isfinite(amount)]
+    for variable in map(str, one.data_vars):
+        if (parameter := variable.removesuffix("_inside")) != variable:
+            inside = known(_of_seeds(one, variable)) > 0.0
+            yield f"coverage_{parameter.removeprefix('final_')}", (inside, np.mean, True)
+    amount = known(_of_seeds(one, "amount_ratio"))
     yield "median_amount_ratio", (amount, np.median, False)
     yield "worst_amount_off", (np.abs(amount - 1.0), np.max, False)
-    seconds = _of_seeds(one, "seconds")[complete]
-    yield "seconds_per_run", (seconds, np.median, False)
-    if "model_seconds" in one:
-        yield "model_seconds", (_of_seeds(one, "model_seconds")[complete], np.median, False)
+    yield "seconds_per_run", (known(_of_seeds(one, "seconds")), np.median, False)
+    yield "model_seconds", (known(_of_seeds(one, "model_seconds")), np.median, False)
     factor = _of_seeds(one, "simulated_seconds") / _of_seeds(one, "cycle_seconds")
-    yield "real_time_factor", (factor[complete], np.median, False)
+    yield "real_time_factor", (known(factor), np.median, False)
 
 
 def bootstrap_interval(values: Array, statistic: Callable[..., Any], address: str) -> list[float | None]:

@@ -23,12 +23,12 @@ from dafw.views.style import (
     map_axes,
     new_figure,
     outside_legend,
+    peak_at_end,
     run_style,
     time_axis,
 )
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from xarray import Dataset
 
 EMPTY = 100.0
@@ -68,7 +68,7 @@ def plot_study_errors(study: Dataset) -> Figure:
     ``study`` is a ``study.nc``. All panels have the same scale. A run that has failed counts as above the picture.
     """
     names = [str(name) for name in study["configuration"].values]
-    columns = min(3, len(names))
+    columns = 2 if len(names) == 4 else min(3, len(names))
     rows = -(-len(names) // columns)
     figure = new_figure(max(5.6, 3.7 * columns), 2.7 * rows + 1.0)
     grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
@@ -140,7 +140,7 @@ def plot_success(study: Dataset) -> Figure:
     left.set_title(f"ERR stays below {limit:g} % from t on", fontsize=10.5)
     time_axis(right, np.array([0.0, largest]), "")
     right.set_xlabel("ERR at the end (%)")
-    right.set_title("ends below an ERR", fontsize=10.5)
+    right.set_title("ends with an ERR below x", fontsize=10.5)
     right.axvline(limit, color=FREE_COLOUR, linewidth=1.0, linestyle="--", gid="limit")
     right.axvline(EMPTY, color="black", linewidth=1.0, linestyle=":", gid="empty")
     left.set_ylim(-2.0, 102.0)
@@ -178,10 +178,11 @@ def _maps(runs: dict[str, Dataset], name: str) -> Figure:
         if truth is not None and not any(_same(truth[-1], values) for _, _, values, _ in panels):
             panels.append(("truth" if number == 0 else f"truth of seed {run.attrs['seed']}", run, truth[-1], None))
         panels.append((_with_error(title, run), run, run[f"{scored}_mean"].values[-1], number))
-    reference = panels[0][2]
-    peak = float(np.nanmax(reference))
-    scale = colour_scale(reference, peak, *(values for _, _, values, _ in panels))
-    mesh = triangulation(panels[0][1])
+    first = panels[0][1]
+    over_time = stage(first, scored_variable(first), "truth")
+    reference = first[f"{scored_variable(first)}_mean"].values if over_time is None else over_time
+    scale = colour_scale(reference, peak_at_end(reference), *(values for _, _, values, _ in panels))
+    mesh = triangulation(first)
     columns = 2 if len(panels) == 4 else len(panels)
     rows = len(panels) // columns
     figure = new_figure(4.3 * columns, 4.0 * rows * height_to_width(mesh) + 0.9, maps=True)
@@ -198,7 +199,6 @@ def _maps(runs: dict[str, Dataset], name: str) -> Figure:
         axes.set_xlabel("x (m)")
     for axes in grid[:, 0]:
         axes.set_ylabel("y (m)")
-    first = panels[0][1]
     figure.colorbar(field, ax=grid, label=label(first, scored_variable(first)), extend=scale.extend, pad=0.02)
     figure.suptitle(f"{name}, at t = {float(first['time'][-1]):g} s", fontsize=11.5)
     return figure
@@ -235,5 +235,3 @@ def _largest(values: np.ndarray) -> float:
     """Return the largest number that is not of failed runs; 0 if there is none."""
     known = values[np.isfinite(values) & (values < BEYOND / 10.0)]
     return float(known.max()) if known.size else 0.0
-
-
