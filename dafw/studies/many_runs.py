@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import logging
-import sys
 from collections.abc import Iterator, Mapping
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -22,7 +21,7 @@ from dafw.core.errors import ConfigurationError, RunError
 from dafw.core.experiment import study_from
 from dafw.core.files import write_atomically
 from dafw.core.workers import cores
-from dafw.studies.reporting import log_file
+from dafw.studies.reporting import log_file, progress
 from dafw.studies.running import SHOWN_BY_BUILDING
 from dafw.studies.side_by_side import Task, run_side_by_side, status_of_run
 from dafw.studies.stopping import Interrupted, stop_signals
@@ -110,11 +109,9 @@ def run_missing(
 
 def _run(tasks: list[Task], total: int, workers: int) -> None:
     """Run the tasks with a progress bar, and log how each run ended."""
-    from tqdm import tqdm
-
     failed = 0
     with (
-        tqdm(total=total, initial=total - len(tasks), unit="run", disable=None, file=sys.stderr) as bar,
+        progress(total, "run", total - len(tasks)) as bar,
         closing(run_side_by_side(tasks, workers)) as running,
     ):
         for task, error in running:
