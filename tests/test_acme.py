@@ -65,6 +65,17 @@ def test_acmes_experiment_mixes_its_parts_with_built_in_ones(tmp_path):
     assert "observer:\n  name: acme_probe\n  every: 2\n" in shown.stdout
 
 
+def test_acmes_study_is_run_like_any_other(tmp_path):
+    done = environment().run("dafw", "study", "acme_filters", "--no-pictures", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    folder = Path(done.stdout.splitlines()[-1])
+    assert folder == (tmp_path / "outputs" / "study_acme_filters").resolve()
+    summary = json.loads((folder / "summary.json").read_text())
+    assert {one["name"]: one["n_seeds"] for one in summary["configurations"]} == {"etkf": 1, "nudging": 1}
+    with open_run(folder / "runs" / "nudging" / "seed=1") as run:
+        assert json.loads(run.attrs["parts"])["filter"] == "acme_nudging"
+
+
 def test_a_wrong_choice_lists_acmes_too(tmp_path):
     run = environment().run
     assert "(there are: acme_rod, " in one_line(run("dafw", "run", "experiment=rod", cwd=tmp_path).stderr)

@@ -45,6 +45,19 @@ REDUCED = {
     r"(?<=--cfg all)(.*)'seed=range.*'$": (r"\1", "what is only shown has no sweep"),
     r"^dafw run (?=.*executor\.address=)": ("dafw run --cfg job ", "no scheduler there: composed and shown"),
     r"'seed=range\((\d+,)?\d{2,}\)'": ("seed=0,1", "two seeds instead of ten and more"),
+    r"^dafw study tiny$": (
+        "dafw study tiny cycles=5 --seeds 0-1",
+        "two seeds instead of ten, five cycles instead of 40",
+    ),
+    r"^dafw study literal$": (
+        f"dafw study literal {COARSE} {BASIS} --seeds 0 --configurations '*=0.2'",
+        "one run with some 300 nodes, three members, one cycle, a basis of four winds",
+    ),
+    r"^dafw study tiny --seeds .*": (
+        r"dafw study tiny cycles=5 --seeds 0-1 --configurations 'etkf*'",
+        "the folder has runs of five cycles",
+    ),
+    r"^dafw study (?!tiny cycles=5 --seeds 0-1$)(?!--list).*": (r"\g<0> --no-pictures", "the first study draws them"),
     r"^dafw run.* model\.wind\.solver=reduced.*$": (rf"\g<0> {BASIS}", "a basis of four winds"),
     FLAGSHIP: (rf"\g<0> {COARSE}", "some 300 nodes, three members, one cycle"),
     r"python -m benchmarks (?!.*over_dapper)": (f"{BENCHMARKS} --short ", "the values mean nothing, the command works"),

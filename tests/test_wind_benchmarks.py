@@ -1,4 +1,4 @@
-"""The benchmarks of wind and transport run; the drag agrees with the published value to the accuracy of a coarse mesh."""
+"""The benchmarks of wind and transport run; a coarse mesh gets the published drag as well as it can."""
 
 import json
 import subprocess

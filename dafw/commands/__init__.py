@@ -11,7 +11,7 @@ from importlib import import_module
 from dafw.commands.mpirun import run_on_all_ranks, shares
 from dafw.core.errors import DafwError, is_request
 
-COMMANDS = ("run", "plugins", "plot", "doctor", "check", "new-plugin")
+COMMANDS = ("run", "study", "plugins", "plot", "doctor", "check", "new-plugin")
 """The command NAME is the function ``NAME_command(words)`` of the module NAME in this folder, loaded when called; a
 hyphen becomes an underscore."""
 
@@ -19,6 +19,7 @@ USAGE = """\
 usage: dafw COMMAND [...]
 
   run [-m] [experiment=NAME] [overrides]   run a study; -m runs every combination of the values given (a=1,2)
+  study NAME [overrides] | --list          run a study file's configurations on many seeds, and compare them
   plugins [--json] [NAME]                  list the plugins, or the options of those with this name
   plot RUN|SWEEP ... [--out DIR]           draw the pictures of a run, or of several together
   check NAME [NAME ...] | --all            hold plugins to what their interface promises

@@ -26,14 +26,11 @@ from dafw.core.errors import ComputationError, ConfigurationError
 from dafw.core.experiment import study_from
 from dafw.core.study import Study
 from dafw.studies.reporting import closing_line
-from dafw.studies.running import follow_study, refuse_run, run_study
+from dafw.studies.running import SHOWN_BY_BUILDING, follow_study, refuse_run, run_study
 from dafw.studies.stopping import Interrupted
 
 STATUSES = ".status"
 """Folder in a sweep in which its jobs store their exit statuses until the sweep is done."""
-
-SHOWN_BY_BUILDING = ("model", "truth", "free", "vehicle", "observer", "policy", "readings", "section")
-"""Parts of a study's configuration whose errors may show only when a site or a mesh is built."""
 
 
 def run_command(words: Sequence[str], communicator: Any = None) -> int:

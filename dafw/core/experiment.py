@@ -16,7 +16,7 @@ from dafw.core.interfaces import Model
 from dafw.core.late import LATE_CHOICES
 from dafw.core.options import build, merged, option
 from dafw.core.registry import registry
-from dafw.core.study import RECORDED, Study
+from dafw.core.study import FIELDS_RECORDED, RECORDED, Study
 
 NAME = re.compile(r"[\w.-]{1,100}")
 
@@ -37,6 +37,9 @@ class RecordOptions:
         "parameters",
         "state variables whose members are all recorded: single numbers (parameters), all, or none",
         choices=RECORDED,
+    )
+    fields: str = option(
+        "all", "rows that have the fields: all, or the ends (the first and the last)", choices=FIELDS_RECORDED
     )
 
 
@@ -107,6 +110,7 @@ def study_from(config: Mapping[str, Any]) -> Study:
         seed=options.seed,
         late_readings=options.late_readings,
         record=options.record.members,
+        record_fields=options.record.fields,
         section=options.section,
         pictures=options.pictures,
         name=options.name,

@@ -4,6 +4,9 @@ Row k of ``time`` is the state after k cycles, as it was known then. Fields are 
 and scores in double. Rows are held in memory until one comes at least ``FLUSH_SECONDS`` after the last write. Then all
 are written and the file is synchronised, so that a run killed at any moment leaves a file that opens. Beliefs that a
 filter revises later are written at the same time, to the row that they belong to, as separate variables.
+
+A study of many runs may keep the fields of the first and the last row only (``fields="ends"``): of a hundred rows this
+leaves a fiftieth. The others hold missing values, for which the file needs no space.
 """
 
 from __future__ import annotations
@@ -26,7 +29,10 @@ FLUSH_SECONDS = 0.5
 
 
 class Record:
-    """Writes one run. ``with_members`` names the state variables of which every member is kept."""
+    """Writes one run. ``with_members`` names the state variables of which every member is kept.
+
+    ``fields`` says in which rows state variables with several numbers are kept: ``all``, or the ``ends``.
+    """
 
     def __init__(
         self,
@@ -37,6 +43,7 @@ class Record:
         with_members: Sequence[str],
         section: Array,
         attributes: Mapping[str, str | int],
+        fields: str = "all",
     ) -> None:
         self._space, self._with_members = parts.model.space, tuple(with_members)
         self._has_truth, self._smooths = parts.truth is not None, parts.filter.window != 0
@@ -51,6 +58,10 @@ class Record:
         )
         self._rows: list[dict[str, Any]] = []
         self._revised: dict[int, Ensemble] = {}
+        self._thin = fields == "ends"
+        self._done = 0
+        self._last_fields: dict[str, Any] = {}
+        self._truths: dict[int, Array] = {}
         self._flushed = perf_counter()
         self._recording = 0.0
         self._append(state, parts.seen(state.truth), None)
@@ -100,8 +111,20 @@ class Record:
             row["err_smoothed"] = found["err"]
         if cycle is not None:
             row |= self._cycle_row(cycle)
+            self._done += 1
+        if self._thin:
+            self._keep_back(row, truth)
         self._rows.append(row)
         return row
+
+    def _keep_back(self, row: dict[str, Any], truth: Ensemble | None) -> None:
+        """Take the fields out of a row that is not the first; ``close`` writes those of the last row."""
+        if self._smooths and truth is not None:  # revisions are compared with it, and the file will not have it
+            scored = self._space.slice(self._space.variables[0].name)
+            self._truths[self._done] = truth.members[0, scored].astype(np.float32)
+        if self._done:
+            names = [name for name in row if self._file.is_field(name)]
+            self._last_fields = {name: row.pop(name) for name in names}
 
     def _unpacked(self, vector: Array, stage: str) -> dict[str, Array]:
         """Return a state (n,) as the row's variables of a stage."""
@@ -130,6 +153,8 @@ class Record:
             )
             if self._has_truth:
                 row["err_smoothed"] = self._smoothed_error(done, belief)
+            if self._thin and done:
+                row = {name: values for name, values in row.items() if not self._file.is_field(name)}
             self._file.rewrite(done, row)
         if self._revised:
             self._revised.clear()
@@ -137,11 +162,11 @@ class Record:
         self._flushed = perf_counter()
 
     def _smoothed_error(self, done: int, belief: Ensemble) -> float:
-        """Return ERR of a revised belief against the truth in the file, whose fields have single precision."""
+        """Return ERR of a revised belief against the truth as the file has it, in single precision."""
         name = self._space.variables[0].name
         part = self._space.slice(name)
         truth: Array = np.full(self._space.size, np.nan)
-        truth[part] = self._file.read(f"{name}_truth", done)
+        truth[part] = self._truths[done] if self._thin else self._file.read(f"{name}_truth", done)
         return error_of(self._space, truth, belief.mean)
 
     def close(self) -> None:
@@ -149,6 +174,8 @@ class Record:
         if self._file.is_open:
             try:
                 self.flush()
+                if self._last_fields:
+                    self._file.rewrite(self._done, self._last_fields)
             finally:
                 self._file.close()
 

@@ -67,6 +67,7 @@ class RunFile:
         # Kept here because looking them up in the file is slower.
         self._fills: dict[str, Any] = {}
         self._shapes: dict[str, tuple[int, ...]] = {}
+        self._fields: set[str] = set()
         self._written = 0
         space, domain = parts.model.space, parts.model.domain
         scored = space.variables[0].name
@@ -159,6 +160,9 @@ class RunFile:
             if variable.name in with_members:
                 name, long_name = f"{variable.name}_members", f"{title}, every member of the analysis"
                 self._define(name, ("time", "member", *dims), dtype, variable.units, long_name, **attributes)
+            if dims:
+                names = [f"{variable.name}_{stage}" for stage in (*self._stages, "members")]
+                self._fields.update(names)
 
     def _define_cycle_variables(self, scored: str, units: str) -> None:
         self._define("time", ("time",), "f8", "s", "time since the start", axis="T")
@@ -232,6 +236,10 @@ class RunFile:
                 self._file.variables[name][(slice(first, last), *map(slice, block.shape[1:]))] = block
         self._written = last
         self._file.sync()
+
+    def is_field(self, name: str) -> bool:
+        """Return whether a variable holds a state variable with several numbers, such as one on a mesh."""
+        return name in self._fields
 
     def rewrite(self, row: int, values: Mapping[str, Any]) -> None:
         """Write variables of a row again; a reader may see the old or the new values until the file is synchronised."""

@@ -29,6 +29,7 @@ from dafw.core.rng import Streams
 from dafw.core.sharing import Shared
 
 RECORDED = ("none", "parameters", "all")
+FIELDS_RECORDED = ("all", "ends")
 
 
 def _built_in(kind: str, name: str) -> Any:
@@ -50,6 +51,7 @@ class Study:
     members, cycles, seed    the size N of the ensemble, the number of time steps, the seed of all random numbers
     late_readings            what to do with late readings from before the filter's window: ``drop`` or ``use`` now
     record                   the variables for which run.nc keeps every member: none, parameters, all
+    record_fields            the rows of run.nc that have the fields: all, or its ends, the first and the last
     section                  corners [[x, y], ...] of the polyline of the section picture, in metres
     pictures                 whether a run of the study ends with its pictures
     name                     what the study is called in files, titles and messages
@@ -73,6 +75,7 @@ class Study:
     seed: int = 0
     late_readings: str = "drop"
     record: str = "parameters"
+    record_fields: str = "all"
     section: Sequence[Sequence[float]] = ()
     pictures: bool = False
     name: str = "study"
@@ -96,6 +99,7 @@ class Study:
         for label, value, choices in (
             ("late_readings", self.late_readings, LATE_CHOICES),
             ("record", self.record, RECORDED),
+            ("record_fields", self.record_fields, FIELDS_RECORDED),
         ):
             if value not in choices:
                 raise ConfigurationError(f"a study's {label} must be one of {', '.join(choices)}, got {value!r}")

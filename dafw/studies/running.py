@@ -27,6 +27,8 @@ from dafw.studies.summary import Summary, file_attributes
 
 log = logging.getLogger("dafw")
 LOG_SECONDS = 0.2
+SHOWN_BY_BUILDING = ("model", "truth", "free", "vehicle", "observer", "policy", "readings", "section")
+"""Parts of a study's configuration whose errors may show only when a site or a mesh is built."""
 SUMMARY_SECONDS = 10.0
 
 
@@ -122,6 +124,7 @@ class _Run:
                 with_members=_with_members(study, parts),
                 section=np.array(study.section, dtype=np.float64).reshape(-1, 2),
                 attributes=file_attributes(study, summary.pinned),
+                fields=study.record_fields,
             )
         logged = 0.0
         with progress(study.cycles) as bar:
@@ -249,12 +252,12 @@ def _run_overrides(overrides: list[str], folder: str | Path | None) -> Path:
         study.prepare()
     except ConfigurationError as error:
         raise advised(error, overrides) from error
-    _keep_configuration(place / ".hydra", composed, overrides)
+    keep_configuration(place / ".hydra", composed, overrides)
     run_study(study, place)
     return place
 
 
-def _keep_configuration(folder: Path, composed: Mapping[str, Any], overrides: list[str]) -> None:
+def keep_configuration(folder: Path, composed: Mapping[str, Any], overrides: list[str]) -> None:
     """Write a study's configuration, as the command does; before it runs, so that a failed run has it, too."""
     from omegaconf import OmegaConf
 

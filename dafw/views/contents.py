@@ -75,7 +75,13 @@ def stage(run: Dataset, variable: str, name: str) -> np.ndarray | None:
 
 def has_section(run: Dataset) -> bool:
     """Return whether the run has a polyline for the section, and more than one time."""
-    return has_map(run) and "section_x" in run.variables and run.sizes["time"] > 1
+    return has_map(run) and "section_x" in run.variables and run.sizes["time"] > 1 and has_every_field(run)
+
+
+def has_every_field(run: Dataset) -> bool:
+    """Return whether the scored variable is recorded in every row; with ``record.fields=ends`` it is not."""
+    mean = run[f"{scored_variable(run)}_mean"].values
+    return bool(np.isfinite(mean).reshape(len(mean), -1).any(axis=1).all())
 
 
 def triangulation(run: Dataset) -> Triangulation:

@@ -13,7 +13,15 @@ from dafw.core.errors import RunError
 from dafw.core.files import atomic_file
 from dafw.core.runs import open_run
 from dafw.core.sweeps import RECORD, is_sweep, run_folders, sweep_folder
-from dafw.views.contents import has_innovations, has_map, has_section, has_truth, scalar_variables, scored_variable
+from dafw.views.contents import (
+    has_every_field,
+    has_innovations,
+    has_map,
+    has_section,
+    has_truth,
+    scalar_variables,
+    scored_variable,
+)
 from dafw.views.innovations import plot_innovations
 from dafw.views.maps import plot_contours, plot_route
 from dafw.views.section import plot_section
@@ -43,13 +51,13 @@ def draw_all(run: Dataset, folder: Path) -> list[Path]:
     if has_map(run):
         pictures["route"] = lambda: plot_route(one)
         pictures["contours"] = lambda: plot_contours(run)
-    elif scored.ndim == 2 and run.sizes["time"] > 1:
+    elif scored.ndim == 2 and run.sizes["time"] > 1 and has_every_field(run):
         pictures["state"] = lambda: plot_state(run)
     if has_section(run):
         pictures["section"] = lambda: plot_section(run)
     if scalar_variables(run):
         pictures["parameters"] = lambda: plot_parameters(run)
-    return [_save(draw(), Path(folder) / f"{name}.png") for name, draw in pictures.items()]
+    return [save(draw(), Path(folder) / f"{name}.png") for name, draw in pictures.items()]
 
 
 def compare(runs: Mapping[str, Dataset], folder: Path) -> list[Path]:
@@ -66,7 +74,7 @@ def compare(runs: Mapping[str, Dataset], folder: Path) -> list[Path]:
     ):
         without = [text for text, run in runs.items() if not has_content(run)]
         if not without or (name != "route" and len(without) < len(runs)):
-            files.append(_save(draw(runs), Path(folder) / f"{name}.png"))
+            files.append(save(draw(runs), Path(folder) / f"{name}.png"))
         if 0 < len(without) < len(runs):
             what = "no route.png" if name == "route" else f"not in {name}.png"
             print(f"dafw: {', '.join(without)}: {lacking}, so {what}", file=sys.stderr)
@@ -160,7 +168,7 @@ def _short(override: str) -> str:
     return override if len(override) <= LONGEST_OVERRIDE else f"{override[: LONGEST_OVERRIDE - 3]}..."
 
 
-def _save(figure: Figure, file: Path) -> Path:
+def save(figure: Figure, file: Path) -> Path:
     """Write the picture; if this is interrupted, the former file stays, if there was one."""
     file.parent.mkdir(parents=True, exist_ok=True)
     with atomic_file(file) as stream:

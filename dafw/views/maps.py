@@ -77,14 +77,14 @@ def plot_route(runs: Mapping[str, Dataset]) -> Figure:
     mesh = triangulation(run)
     scale = colour_scale(belief, float(np.nanmax(belief)), belief)
 
-    figure = new_figure(8.0, 6.4 * _height_to_width(mesh) + 1.4, maps=True)
+    figure = new_figure(8.0, 6.4 * height_to_width(mesh) + 1.4, maps=True)
     axes = figure.subplots()
-    field = _draw_field(axes, mesh, belief, scale)
+    field = draw_field(axes, mesh, belief, scale)
     draw_buildings(axes, buildings(run))
     handles: list[Line2D] = []
     for index, (text, one) in enumerate(runs.items()):
         style = run_style(index, len(runs))
-        _draw_route(axes, one, style)
+        draw_route(axes, one, style)
         entry = text if len(runs) > 1 else "route and readings" if one.sizes.get("vehicle") else "readings"
         line = style if one.sizes.get("vehicle") else style | {"linestyle": "none"}
         handles.append(Line2D([], [], **line, marker="o", markersize=4, label=entry))
@@ -131,10 +131,10 @@ def plot_contours(run: Dataset) -> Figure:
 
     mesh, outlines = triangulation(run), buildings(run)
     rows, columns = (2, 2) if len(panels) == 4 else (1, len(panels))
-    figure = new_figure(4.8 * columns, 3.9 * rows * _height_to_width(mesh) + 1.5, maps=True)
+    figure = new_figure(4.8 * columns, 3.9 * rows * height_to_width(mesh) + 1.5, maps=True)
     grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     for axes, (title, values) in zip(grid.flat, panels.items(), strict=True):
-        field = _draw_field(axes, mesh, values, scales[title])
+        field = draw_field(axes, mesh, values, scales[title])
         draw_buildings(axes, outlines)
         handles = _draw_section(axes, run)
         if (position := landmark(run, "release")) is not None:
@@ -164,16 +164,18 @@ def plot_contours(run: Dataset) -> Figure:
     return figure
 
 
-def _draw_field(axes: Axes, mesh: Triangulation, values: np.ndarray, scale: ColourScale) -> Any:
+def draw_field(axes: Axes, mesh: Triangulation, values: np.ndarray, scale: ColourScale) -> Any:
+    """Colour a map by ``values`` (node,); return what a colour bar needs."""
     # Rasterised: a vector format would otherwise hold every triangle.
     return axes.tripcolor(mesh, values, shading="gouraud", rasterized=True, zorder=1, **scale.keywords)
 
 
-def _height_to_width(mesh: Triangulation) -> float:
+def height_to_width(mesh: Triangulation) -> float:
+    """Return the height of a map over its width."""
     return float(np.ptp(mesh.y) / np.ptp(mesh.x))
 
 
-def _draw_route(axes: Axes, run: Dataset, style: dict[str, Any]) -> None:
+def draw_route(axes: Axes, run: Dataset, style: dict[str, Any]) -> None:
     """Draw the nodes that one run read, and every vehicle's path with its start and end."""
     colour = style["color"]
     if "observation_x" in run.variables:

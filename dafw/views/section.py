@@ -28,7 +28,9 @@ def plot_section(run: Dataset) -> Figure:
     """
     name = scored_variable(run)
     if not has_section(run):
-        raise RunError("a section needs section_x, section_y, a field on a mesh and two times, which this run lacks")
+        raise RunError(
+            "a section needs section_x, section_y, a field on a mesh in all of two or more rows, which this run lacks"
+        )
     arc_length, points = sample_polyline(polyline(run, "section"), SAMPLES)
     weights = SectionWeights(triangulation(run), points)
     stages = {"Truth": "truth", "Free run": "free", "Belief": "mean"}

@@ -10,6 +10,7 @@ from dafw import ContractError, Domain, RunError, StateSpace, Variable, Vehicle,
 from dafw.core.cycle import advance, start
 from dafw.core.ensemble import Diagnostic, Route
 from dafw.core.record import Record
+from dafw.plugins.filters.enks import EnKS
 
 
 class Still(Growth):
@@ -25,11 +26,17 @@ class Still(Growth):
 VEHICLE = Vehicle(np.zeros((1, 2)), speed=1.0, dt=2.0)
 
 
-def record_run(path, parts=None, cycles=3, members=("rate",), n_members=5):
+def record_run(path, parts=None, cycles=3, members=("rate",), n_members=5, **more):
     parts = parts or toy_parts()
     state = start(parts, n_members, VEHICLE)
     record = Record(
-        path, parts, state, with_members=members, section=np.array([[0.0, 0.0], [9.0, 9.0]]), attributes={"seed": 0}
+        path,
+        parts,
+        state,
+        with_members=members,
+        section=np.array([[0.0, 0.0], [9.0, 9.0]]),
+        attributes={"seed": 0},
+        **more,
     )
     done = []
     for _ in range(cycles):
@@ -199,3 +206,19 @@ def test_what_is_no_run_is_refused(tmp_path, content):
         (tmp_path / "run.nc").write_bytes(content)
     with pytest.raises(RunError):
         open_run(tmp_path)
+
+
+@pytest.mark.parametrize("filter", [{}, {"filter": EnKS()}, {"filter": EnKS(window=1)}])
+def test_fields_of_the_ends_alone_leave_everything_else_as_it_is(filter, tmp_path):
+    for fields in ("all", "ends"):
+        (tmp_path / fields).mkdir()
+        kept = {"members": ("gas", "rate"), "fields": fields}
+        record, _ = record_run(tmp_path / fields / "run.nc", toy_parts(**filter), cycles=5, **kept)
+        record.close()
+    with open_run(tmp_path / "all") as whole, open_run(tmp_path / "ends") as thin:
+        assert set(whole.variables) == set(thin.variables) and whole.sizes == thin.sizes
+        for name in set(whole.variables) - {"phase_seconds"}:
+            is_field = {"time", "node"} <= set(whole[name].dims)
+            rows = {"time": [0, 5]} if is_field else {}
+            np.testing.assert_array_equal(thin[name].isel(rows), whole[name].isel(rows), err_msg=name)
+            assert not is_field or thin[name][1:5].isnull().all(), name

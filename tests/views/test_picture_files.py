@@ -19,7 +19,7 @@ from dafw.plugins.filters.enks import EnKS
 from dafw.plugins.filters.etkf import ETKF
 from dafw.plugins.readings.listed import Listed
 from dafw.views import compare, draw_all, draw_runs, plot_route
-from dafw.views.files import _save
+from dafw.views.files import save
 
 
 def names(files):
@@ -54,7 +54,7 @@ def test_a_run_interrupted_before_its_first_cycle_is_drawn(plant_run, ring_run, 
 
 
 def test_same_run_gives_the_same_bytes(plant_run, tmp_path):
-    once, again = (_save(plot_route({"one": plant_run}), tmp_path / name) for name in ("once.png", "again.png"))
+    once, again = (save(plot_route({"one": plant_run}), tmp_path / name) for name in ("once.png", "again.png"))
     assert once.read_bytes() == again.read_bytes()
 
 
@@ -200,7 +200,7 @@ def test_a_run_without_its_belief_is_refused_by_name(plant_run, tmp_path):
 
 
 def test_an_interrupted_save_keeps_the_former_picture(tmp_path, monkeypatch):
-    file = _save(Figure(), tmp_path / "err.png")
+    file = save(Figure(), tmp_path / "err.png")
     before = file.read_bytes()
 
     def fail(self, stream, **_):
@@ -209,7 +209,7 @@ def test_an_interrupted_save_keeps_the_former_picture(tmp_path, monkeypatch):
 
     monkeypatch.setattr(Figure, "savefig", fail)
     with pytest.raises(KeyboardInterrupt):
-        _save(Figure(), file)
+        save(Figure(), file)
     assert file.read_bytes() == before
     assert list(tmp_path.iterdir()) == [file]
 
