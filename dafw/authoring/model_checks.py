@@ -14,6 +14,7 @@ from dafw.authoring.evidence import (
     restored,
 )
 from dafw.core.ensemble import Ensemble, Forecast, Memory
+from dafw.core.executors.batches import Batch, step_members
 from dafw.core.interfaces import Model
 from dafw.core.rng import MemberStreams, Streams
 from dafw.core.space import StateSpace
@@ -118,6 +119,22 @@ def restart(factory: Factory) -> None:
     for step, (first, second) in enumerate(zip(whole, pieces, strict=True)):
         message = f"step {step}: the members differ in a run that was cut off before it"
         require_same_bits(first.ensemble.members, second.ensemble.members, message)
+
+
+@check("model")
+def several_steps(factory: Factory) -> None:
+    """A re-run over several steps equals single steps, bit for bit, whether or not the model makes several at once."""
+    with global_generators():
+        single = stepped(factory())
+    with global_generators():
+        start = single[0]
+        members, memory = start.ensemble.members.copy(), restored(start.memory)
+        batch = Batch(members, memory, start.ensemble.time, _streams("step"), STEPS, keep=True)
+        together = step_members(factory(), batch).steps
+    for number, (one, step) in enumerate(zip(single[1:], together, strict=True), 1):
+        which = f"after {number} of {STEPS} steps of a re-run"
+        require_same_bits(step.members, one.ensemble.members, f"the members differ {which}")
+        require_same_bits(step.memory, one.memory, f"the memory differs {which}")
 
 
 @check("model")

@@ -257,3 +257,41 @@ def test_a_filter_that_runs_the_model_again_has_the_same_bits_on_every_executor(
             files[name] = {key: run[key].values.tobytes() for key in run.data_vars if key != "phase_seconds"}
     assert "u_smoothed_mean" in files["serial"]
     assert files["serial"] == files["processes"] == files["dask"]
+
+
+class InPairs(Counting):
+    """Makes two steps at once, or as many as it is told to."""
+
+    given = 2
+
+    def steps_with_memory(self, members, memory, t, rng, n_steps):
+        steps = []
+        for number in range(min(self.given, n_steps) if self.given == 2 else self.given):
+            step = self.step_with_memory(members, memory, t + number * self.dt, rng.later(number))
+            steps.append(step)
+            members, memory = step.members, step.memory
+        return steps
+
+
+@pytest.mark.parametrize("last", [1, 2, 5])
+def test_steps_that_a_model_makes_together_are_those_of_single_steps(last):
+    single, pairs = (cls(spread=0.5, noise=0.1) for cls in (Counting, InPairs))
+    guess = single.first_guess(3, Streams(5).members("initial", 0))
+    operators = dict.fromkeys(range(last), TWO_NODES)
+    one, two = (
+        Rerun(model, Serial(), Streams(5))(guess, 0, last, operators=operators, keep=True) for model in (single, pairs)
+    )
+    assert len(one.states) == len(two.states) == last
+    for a, b in zip(one.states, two.states, strict=True):
+        assert a.ensemble.members.tobytes() == b.ensemble.members.tobytes()
+        assert a.ensemble.time == b.ensemble.time
+    assert one.stacked().tobytes() == two.stacked().tobytes()
+
+
+@pytest.mark.parametrize("given", [0, 4])
+def test_a_model_that_returns_no_step_or_too_many_is_refused(given):
+    model = InPairs()
+    model.given = given
+    guess = model.first_guess(3, Streams(5).members("initial", 0))
+    with pytest.raises(ContractError, match=rf"steps_with_memory must return 1 to 3 steps, got {given}"):
+        Rerun(model, Serial(), Streams(5))(guess, 0, 3)

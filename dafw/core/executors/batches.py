@@ -70,14 +70,20 @@ def _stepped(model: Model, batch: Batch) -> Stepped:
     steps: list[Step] = []
     predicted: dict[int, Array] = {}
     ensemble, memory = Ensemble(batch.members, model.space, batch.t), batch.memory
-    for number in range(1, batch.n_steps + 1):
-        rng = batch.rng.later(number - 1)
-        forecast = model.forecast(ensemble, memory, rng)
-        ensemble, memory = forecast.ensemble, forecast.memory
-        if number in batch.operators:
-            predicted[number] = batch.operators[number].apply(ensemble.members)
-        if batch.keep or number == batch.n_steps:
-            steps.append(Step(ensemble.members, memory, forecast.diagnostics))
+    number = 0
+    while number < batch.n_steps:
+        rng, left = batch.rng.later(number), batch.n_steps - number
+        several = model.steps_with_memory(ensemble.members, memory, ensemble.time, rng, left)
+        if not 1 <= len(several) <= left:
+            raise ContractError(f"{model.label}: steps_with_memory must return 1 to {left} steps, got {len(several)}")
+        for step in several:
+            number += 1
+            forecast = model.stepped(ensemble, step)
+            ensemble, memory = forecast.ensemble, forecast.memory
+            if number in batch.operators:
+                predicted[number] = batch.operators[number].apply(ensemble.members)
+            if batch.keep or number == batch.n_steps:
+                steps.append(Step(ensemble.members, memory, forecast.diagnostics))
     return Stepped(tuple(steps), predicted)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -98,6 +98,16 @@ class Model(Plugin):
     def step_with_memory(self, members: Array, memory: Memory | None, t: float, rng: MemberStreams) -> Step:
         """Return the step of a model that remembers."""
         return Step(self.step(members, t, rng))
+
+    def steps_with_memory(
+        self, members: Array, memory: Memory | None, t: float, rng: MemberStreams, n_steps: int
+    ) -> Sequence[Step]:
+        """Return one or more of the next ``n_steps`` steps, as many as are best made at once.
+
+        Override it where several steps together take less time; the bits must be those of single steps. ``rng`` holds
+        the streams of the first step, ``rng.later(k)`` those of step k, counted from 0.
+        """
+        return [self.step_with_memory(members, memory, t, rng)]
 
     def first_guess(self, n_members: int, rng: MemberStreams) -> Forecast:
         """Draw, check and wrap the initial ensemble; raises ContractError."""

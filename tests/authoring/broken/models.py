@@ -82,3 +82,13 @@ class NegativeFirstGuess(Walk):
 class Undershoots(Walk):
     def step(self, members, t, rng):
         return super().step(members, t, rng) - 0.5
+
+
+@breaks("several_steps")
+class UsesTheSameNoiseTwice(Walk):
+    def steps_with_memory(self, members, memory, t, rng, n_steps):
+        steps = []
+        for _ in range(min(n_steps, 2)):
+            members = self.step(members, t, rng)
+            steps.append(Step(members))
+        return steps

@@ -15,14 +15,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import accumulate
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from dafw.core.domain import Domain
-from dafw.core.ensemble import Diagnostic, Diagnostics, Memory, Step
-from dafw.core.errors import ConfigurationError, about_member
+from dafw.core.ensemble import Diagnostics, Memory, Step
+from dafw.core.errors import ConfigurationError
 from dafw.core.interfaces import Model
 from dafw.core.options import option
 from dafw.core.rng import MemberStreams
@@ -34,6 +35,7 @@ from dafw.plugins.models.dispersion.mesh.tagged import TaggedMesh
 from dafw.plugins.models.dispersion.plausible import largest_concentration
 from dafw.plugins.models.dispersion.site.options import SiteOptions
 from dafw.plugins.models.dispersion.sources import SourceOptions, largest_scale, released, sources, supply
+from dafw.plugins.models.dispersion.transport.kept import KeptSystems
 from dafw.plugins.models.dispersion.transport.options import TransportOptions, require_one_process
 from dafw.plugins.models.dispersion.unknowns import unknowns
 from dafw.plugins.models.dispersion.wind_change import WindChange, WindChangeOptions
@@ -41,6 +43,9 @@ from dafw.plugins.models.dispersion.wind_change import WindChange, WindChangeOpt
 if TYPE_CHECKING:
     from dafw.plugins.models.dispersion.site.site import Site
     from dafw.plugins.models.dispersion.transport.transport import System, Transport
+
+BLOCK_BYTES = 2**23
+"""About how much memory, in bytes, the states of the steps that are made at once may take."""
 
 
 @dataclass
@@ -71,8 +76,7 @@ class AdvectionDiffusion(Model):
     priors: dict[str, Any] = option({}, "priors of unknowns by name, instead of the default priors")
     certain: bool = option(False, "every unknown has the value of its option; for the truth and the free run")
 
-    # for a member, what defines its wind and its System
-    _systems: dict[int, tuple[Array, Any]] = field(default_factory=dict, init=False, repr=False)
+    _systems: KeptSystems[Any] = field(default_factory=KeptSystems, init=False, repr=False)
     _shared: Shared = field(default_factory=Shared, init=False, repr=False, compare=False)
     _communicator: Any = field(default=None, init=False, repr=False)
 
@@ -229,43 +233,48 @@ class AdvectionDiffusion(Model):
 
     def step_with_memory(self, members: Array, memory: Memory | None, t: float, rng: MemberStreams) -> Step:
         """Return the members a step later: noise, cut-off, wind, transport with what the leaks add."""
-        stepped = members.copy()
-        state = self.space.unpack(stepped)
-        concentration = state["concentration"]
+        return self.steps_with_memory(members, memory, t, rng, 1)[0]
+
+    def steps_with_memory(
+        self, members: Array, memory: Memory | None, t: float, rng: MemberStreams, n_steps: int
+    ) -> list[Step]:
+        """Return the next steps: without noise several, which are quicker together (transport/carry.py)."""
+        from dafw.plugins.models.dispersion.transport.carry import carry
+
+        count = 1
+        if self.noise == 0.0 and self._communicator is None:
+            size = members.nbytes + sum(array.nbytes for array in (memory or {}).values())
+            count = min(n_steps, 1 + BLOCK_BYTES // size)
+        states = [members.copy() for _ in range(count)]
+        first = self.space.unpack(states[0])
         if self.noise > 0.0:
+            concentration = first["concentration"]
             concentration += self.noise * concentration * rng.standard_normal(concentration.shape)
             concentration[concentration <= self.cutoff] = 0.0
         if self._communicator is not None:
             # Ranks on other kinds of processors may have rounded differently; all continue with the numbers of rank 0.
-            self._communicator.Bcast(stepped)
-        speed, direction = state["wind_speed"][:, 0], state["wind_direction"][:, 0]
-        speed, direction = self._wind_change.wind(t + 0.5 * self.dt, speed, direction, state)
-        winds, memory, diagnostics = self.winds(speed, direction, memory, t)
+            self._communicator.Bcast(states[0])
+        times = list(accumulate([t] + [self.dt] * (count - 1)))  # the same sums as one step after the other
+        steps, winds, rates = [], [], []
+        for state, time in zip(states, times, strict=True):
+            speed, direction = first["wind_speed"][:, 0], first["wind_direction"][:, 0]
+            speed, direction = self._wind_change.wind(time + 0.5 * self.dt, speed, direction, first)
+            found, memory, diagnostics = self.winds(speed, direction, memory, time)
+            winds.append(found)
+            supplied = supply(self._sources, self._topology[0], first, time, self.dt)
+            rates.append(None if supplied is None else np.broadcast_to(supplied, first["concentration"].shape))
+            steps.append(Step(state, memory, diagnostics))
         diffusion = (
-            state["diffusion"][:, 0] if "diffusion" in state else np.full(len(members), self.transport.diffusion)
+            first["diffusion"][:, 0] if "diffusion" in first else np.full(len(members), self.transport.diffusion)
         )
-        supplied = supply(self._sources, self._topology[0], state, t, self.dt)
-        rates = None if supplied is None else np.broadcast_to(supplied, concentration.shape)
-        keeps_account = self.transport.scheme == "fct"
-        gas, gone = np.zeros((2, len(members)))
-        for member, wind in enumerate(winds):
-            with about_member(member):
-                system: Any = self._system(member, wind, diffusion[member])
-                rate = None if rates is None else self._nodes.local(rates[member])
-                if keeps_account:
-                    concentration[member], gone[member] = system.balanced_step(concentration[member], rate)
-                    gas[member] = system.gas(concentration[member])
-                else:
-                    local = system.step(self._nodes.local(concentration[member]), rate)
-                    concentration[member] = self._nodes.gather(local)
+        fields = [self.space.unpack(state)["concentration"] for state in states]
+        self._systems.limit = max(self._systems.limit, self._transport.systems_kept(len(members)))
         # Without flux correction there may be values below zero; the filter's retraction puts that right.
-        if keeps_account:
-            account = {
-                "gas": Diagnostic(gas, ("member",), "m2", "integral of the forecast concentration over the site"),
-                "gas_gone": Diagnostic(gone, ("member",), "m2", "gas that left through the outer boundary in a step"),
-            }
-            diagnostics = {**diagnostics, **account}
-        return Step(stepped, memory, diagnostics)
+        added = carry(fields, winds, rates, diffusion, self._system, self._nodes)
+        return [
+            Step(step.members, step.memory, {**step.diagnostics, **more})
+            for step, more in zip(steps, added, strict=True)
+        ]
 
     def winds(
         self, speed: Array, direction: Array, memory: Memory | None, t: float
@@ -285,18 +294,12 @@ class AdvectionDiffusion(Model):
         speed, direction = wind
         return self._transport.uniform_velocity(speed, direction)
 
-    def _system(self, member: int, wind: Array, diffusion: float) -> System:
-        """Return the member's system of a step, which is kept as long as the bits of wind and diffusion stay the same.
+    def _system(self, wind: Array, diffusion: float) -> Any:
+        """Return the ``System`` of a step, which may be kept from an earlier step of this or of another member.
 
-        If there are more members than systems are kept, the other members share one that is made anew for each. A whole
-        run of ten members takes 14 % longer if only one is kept.
+        A whole run of ten members takes 14 % longer if only one is kept.
         """
-        slot = min(member, self._transport.systems_kept)
-        kept, key = self._systems.get(slot), np.append(wind, diffusion)
-        if kept is None or not np.array_equal(kept[0], key):
-            self._systems.pop(slot, None)  # it is overwritten now, and no longer valid even if that fails
-            self._systems[slot] = kept = (key, self.system(wind, diffusion, kept[1] if kept else None))
-        return kept[1]
+        return self._systems.get(np.append(wind, diffusion), lambda reuse: self.system(wind, diffusion, reuse))
 
     def system(self, wind: Array, diffusion: float, reuse: System | None = None) -> System:
         """Return the system of a step in the wind of one member.

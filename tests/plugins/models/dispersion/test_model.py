@@ -8,7 +8,6 @@ from dafw.core.options import build
 from dafw.core.rng import Streams
 from dafw.plugins.models.dispersion.model import AdvectionDiffusion
 from dafw.plugins.models.dispersion.model_ins import AdvectionDiffusionINS
-from dafw.plugins.models.dispersion.transport import transport
 from dafw.plugins.models.dispersion.wind.solution import WindError
 
 STREAMS = Streams(4)
@@ -103,15 +102,6 @@ def test_members_stepped_in_batches_give_the_same_bits(small_model):
         memory = {name: array[first:last] for name, array in whole.memory.items()}
         part = model.step_with_memory(whole.ensemble.members[first:last], memory, 0.0, rng.shifted(first))
         np.testing.assert_array_equal(part.members, together.ensemble.members[first:last])
-
-
-def test_members_without_a_matrix_of_their_own_get_the_same_bits(small_model, monkeypatch):
-    plenty, few = make(small_model), make(small_model)
-    expected = step(plenty, begin(plenty, 4))
-    monkeypatch.setattr(transport, "SYSTEMS_BYTES", 0.0)
-    for _ in range(2):  # in the second step the shared system is that of the last member
-        np.testing.assert_array_equal(step(few, begin(few, 4)).ensemble.members, expected.ensemble.members)
-    assert (len(plenty._systems), len(few._systems)) == (4, 2)
 
 
 def test_noise_has_the_size_of_the_value_and_spurious_values_are_cut(small_model):

@@ -47,3 +47,10 @@ def test_a_cluster_that_has_run_something_else_gives_the_same_bits(study, alone,
         run_study(study(dask | {"workers": None}), tmp_path / "run")
     assert contents(tmp_path / "other") != alone
     assert contents(tmp_path / "run") == alone
+
+
+def test_members_that_are_solved_directly_have_the_same_bits_everywhere(small_model, tmp_path):
+    direct = small_model | {"transport": {"solver": "direct", "scheme": "fct"}}
+    for executor in ({"name": "serial"}, {"name": "processes", "workers": 2}):
+        run_study(small_study(direct, {"wind_speed": 4.0}, executor, members=5, cycles=4), tmp_path / executor["name"])
+    assert contents(tmp_path / "serial") == contents(tmp_path / "processes")

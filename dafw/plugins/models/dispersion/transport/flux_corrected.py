@@ -21,12 +21,12 @@ holds to round-off, whatever the divergence of the wind. docs/physics.md says mo
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
-from dafw.plugins.models.dispersion.fem.sparse_lu import factorised
+from dafw.plugins.models.dispersion.fem.sparse_lu import SparseLU
+from dafw.plugins.models.dispersion.transport.direct import DirectSystem
 from dafw.plugins.models.dispersion.transport.limiter import limited
 from dafw.plugins.models.dispersion.transport.matrices import TransportMatrices
 from dafw.plugins.models.dispersion.transport.system import TransportSystem
@@ -35,7 +35,7 @@ from dafw.plugins.models.dispersion.transport.system import TransportSystem
 class FluxCorrectedSystem:
     """The systems of a step in one wind, Galerkin's and that of low order; ``Transport.system`` makes it."""
 
-    def __init__(self, matrices: TransportMatrices, galerkin: TransportSystem):
+    def __init__(self, matrices: TransportMatrices, galerkin: TransportSystem | DirectSystem):
         """Prepare the system.
 
         Args:
@@ -46,7 +46,8 @@ class FluxCorrectedSystem:
         mass = matrices.before.data * matrices.dt
         self._mass: np.ndarray = np.add.reduceat(mass, matrices.row_starts)
         self._mass_between = mass[matrices.edges.there]
-        self._solve_low: Callable[[np.ndarray], np.ndarray]
+        self._low_order = SparseLU(matrices.elimination)
+        self._solve_low = self._low_order.solve
         self._there = self._back = self._diffusion = self._leaving = self._taken = np.zeros(0)
 
     def change(self, added: np.ndarray, before: Any) -> None:
@@ -65,7 +66,7 @@ class FluxCorrectedSystem:
         values[matrices.diagonal] = self._mass / matrices.dt + self._leaving - edges.sums(back, there)
         values[matrices.fixed_entries] = 0.0
         values[matrices.fixed_diagonal] = 1.0
-        self._solve_low = factorised(matrices.sparsity, values)
+        self._low_order.factorise(values)
         # Nodes where the concentration is zero take what their neighbours lose to them.
         fixed = np.zeros(matrices.nodes, dtype=bool)
         fixed[matrices.fixed] = True

@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from dafw.core.errors import ContractError
+from dafw.plugins.models.dispersion.fem.sparse_lu import Elimination
 from dafw.plugins.models.dispersion.fem.sparsity import Sparsity
 from dafw.plugins.models.dispersion.mesh.tagged import OUTER, TaggedMesh
 from dafw.plugins.models.dispersion.transport.edges import Edges
@@ -69,6 +71,37 @@ class TransportMatrices:
     def edges(self) -> Edges:
         """The edges of the mesh, for flux-corrected transport."""
         return Edges(self.sparsity)
+
+    @cached_property
+    def elimination(self) -> Elimination:
+        """The order in which factorisations of these matrices eliminate the nodes; for meshes of one process."""
+        return Elimination(self.sparsity.indptr, self.sparsity.indices)
+
+    def after(self, added: np.ndarray, out: np.ndarray) -> np.ndarray:
+        """Write the CSR values (z,) of the matrix that acts on the new concentration to ``out``, and return it.
+
+        Args:
+            added: (z,) CSR values that the wind adds.
+            out: (z,) overwritten.
+        """
+        np.add(self.calm, added, out=out)
+        out[self.fixed_entries] = 0.0
+        out[self.fixed_diagonal] = 1.0
+        return out
+
+    def supplied(self, concentration: np.ndarray, source: np.ndarray | None) -> np.ndarray:
+        """Return the concentration (nodes,) with what a source adds to it in a step.
+
+        Args:
+            concentration: (nodes,) at the start of the step.
+            source: (nodes,) rate f at the end of the step, in concentration per second; None is no source.
+
+        Raises ContractError if an array has another shape.
+        """
+        for array in (concentration,) if source is None else (concentration, source):
+            if array.shape != (self.nodes,):
+                raise ContractError(f"transport: expected {self.nodes} nodal values, got shape {array.shape}")
+        return concentration if source is None else concentration + self.dt * source
 
     def assemble(self, form: Any) -> np.ndarray:
         """Return the CSR values (z,) of a bilinear form of the space."""

@@ -23,11 +23,16 @@ class TransportOptions:
         "outer boundary: zero concentration, or open: gas leaves with the wind and none comes in",
         choices=("zero", "open"),
     )
+    solver: str = option(
+        "iterative",
+        "galerkin and supg: iterative (BiCGStab), or direct: a sparse LU per wind, quicker where winds stay",
+        choices=("iterative", "direct"),
+    )
     tolerance: float = option(
-        1e-12, "residual norm of the linear solver, relative to the right-hand side", above=0.0, maximum=1e-6
+        1e-12, "iterative: residual norm of the linear solver, relative to the right-hand side", above=0.0, maximum=1e-6
     )
     max_iterations: int = option(
-        100, "iterations of the linear solver in one step, after which it is solved directly", minimum=1
+        100, "iterative: iterations of the linear solver in one step, after which it is solved directly", minimum=1
     )
 
 
@@ -36,6 +41,7 @@ def require_one_process(options: TransportOptions) -> None:
     for name, chosen, usable in (
         ("scheme", options.scheme, ("galerkin", "supg")),
         ("outflow", options.outflow, ("zero",)),
+        ("solver", options.solver, ("iterative",)),
     ):
         if chosen not in usable:
             raise ConfigurationError(

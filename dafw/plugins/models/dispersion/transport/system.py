@@ -1,4 +1,7 @@
-"""The linear system of a transport step in one wind: iterated with a suitable preconditioner, or solved directly."""
+"""The linear system of a transport step in one wind, ``solver: iterative``: BiCGStab with a suitable preconditioner.
+
+Where the wind is too strong for that, or an iteration does not converge, the system is solved directly, by MUMPS.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from dafw.core.errors import ContractError, SolverError
+from dafw.core.errors import SolverError
 from dafw.plugins.models.dispersion.fem.sparsity import total
 from dafw.plugins.models.dispersion.transport.matrices import TransportMatrices
 
@@ -68,9 +71,7 @@ class TransportSystem:
         """
         matrices = self._matrices
         self._before = before
-        np.add(matrices.calm, added, out=self._values)
-        self._values[matrices.fixed_entries] = 0.0
-        self._values[matrices.fixed_diagonal] = 1.0
+        matrices.after(added, self._values)
         matrices.sparsity.refresh(self._after, self._values)
         if self._direct is not None:
             # Destroyed by all ranks at once: if it were only dropped, its factors would stay in memory.
@@ -117,10 +118,7 @@ class TransportSystem:
         Raises SolverError if the tolerance is not reached, and ContractError if an array has another shape.
         """
         matrices = self._matrices
-        for array in (concentration,) if source is None else (concentration, source):
-            if array.shape != (matrices.nodes,):
-                raise ContractError(f"transport: expected {matrices.nodes} nodal values, got shape {array.shape}")
-        supplied = concentration if source is None else concentration + matrices.dt * source
+        supplied = matrices.supplied(concentration, source)
         self._left.array[:] = self._before @ matrices.sparsity.with_ghosts(supplied)
         self._left.array[matrices.fixed] = 0.0
         self._right.array[:] = concentration
