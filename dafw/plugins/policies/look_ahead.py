@@ -7,9 +7,9 @@ its score is ::
 
     sum_k g^(k dt) mean_j v_kj,    v_kj = sum_i w_i (f(c_ij) - sum_l w_l f(c_lj))^2,    f(c) = log(max(c, 0) + c0)
 
-and to it is added what can be seen after the horizon, with the field at the horizon's end and the distance d_j from the
-end of the path to node j: max_j g^(K dt + d_j / speed) v_Kj. So a vehicle far away from all disagreement flies towards
-it. A variable that may be negative has no logarithm and is compared as it is, f(c) = c.
+To it is added what can be seen after the horizon, with the field at the horizon's end and the shortest way d_j around
+buildings from the end of the path to node j: max_j g^(K dt + d_j / speed) v_Kj. So a vehicle far away from all
+disagreement flies towards it. A variable that may be negative has no logarithm and is compared as it is, f(c) = c.
 
 Where the members agree everywhere, (sum_i w_i f(c_ij) - f(0))^2 takes the place of v: the vehicle flies to where
 something is expected. If nothing is expected anywhere, it hovers. Of paths with equal scores it is the first,
@@ -21,17 +21,20 @@ absolute below.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from dafw.core.domain import Domain
 from dafw.core.ensemble import Diagnostic, Ensemble, Route, Vehicle
 from dafw.core.errors import ConfigurationError
 from dafw.core.interfaces import Policy
 from dafw.core.observation import Selection
 from dafw.core.options import option
-from dafw.core.space import ANGLE, FIELD, Array, StateSpace, Variable
+from dafw.core.space import ANGLE, FIELD, Array, IntArray, StateSpace, Variable
+from dafw.core.ways import Ways
 from dafw.core.window import Outlook
 
 EQUAL = 1e-9
@@ -52,7 +55,7 @@ class Paths:
 
     start: Array
     steps: Array
-    legs: Array
+    legs: IntArray
 
     def places(self, cycle: int, samples: int) -> Array:
         """Return the points (H, samples, 2) at equal distances along leg ``cycle`` (from 1), the last at its end."""
@@ -69,30 +72,53 @@ def free_paths(start: Array, vehicle: Vehicle, headings: int, cycles: int) -> Pa
     """Return the straight paths from ``start`` (2,), with the longest legs for which at least one heading is free."""
     angles = np.arange(headings) * 2.0 * np.pi / headings
     directions = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    paths = Paths(start, directions, np.zeros(headings))
+    paths = Paths(start, directions, np.zeros(headings, dtype=np.int64))
     for share in SHARES:
         steps = share * vehicle.reach * directions
-        legs = np.array([free_legs(start, step, vehicle, cycles) for step in steps], dtype=np.float64)
-        paths = Paths(start, steps, legs)
-        if legs.any():
+        paths = Paths(start, steps, free_legs(start, steps, vehicle, cycles))
+        if paths.legs.any():
             break
     return paths
 
 
-def free_legs(start: Array, step: Array, vehicle: Vehicle, cycles: int) -> int:
-    """Return how many legs ``step`` (2,) in a row are free, at most ``cycles``; none if the vehicle does not move."""
-    if not step.any():
-        return 0
+def free_legs(start: Array, steps: Array, vehicle: Vehicle, cycles: int) -> IntArray:
+    """Return how many legs (H,) of each of the steps (H, 2) are free in a row, up to ``cycles``.
+
+    None is if the vehicle does not move.
+    """
+    if not steps.any():
+        return np.zeros(len(steps), dtype=np.int64)
     if vehicle.airspace is None:
-        return cycles
-    if not vehicle.airspace.is_free(start, start + step):
-        return 0
-    if vehicle.airspace.is_free(start, start + cycles * step):
-        return cycles
-    legs = 1
-    while legs < cycles - 1 and vehicle.airspace.is_free(start + legs * step, start + (legs + 1) * step):
-        legs += 1
-    return legs
+        return np.full(len(steps), cycles)
+    corners = start + np.arange(cycles + 1)[:, np.newaxis, np.newaxis] * steps
+    free = vehicle.airspace.are_free(corners[:-1].reshape(-1, 2), corners[1:].reshape(-1, 2)).reshape(cycles, -1)
+    return np.logical_and.accumulate(free).sum(axis=0)
+
+
+def worth_later(places: Array, worth: Array, nodes: Array, loss: float, airspace: Domain | None) -> Array:
+    """Return the most (m,) that is to be had from each of the ``places`` (m, 2): max_j worth_j exp(-loss d_j).
+
+    ``worth`` (M,) is what there is at the ``nodes`` (M, 2); a metre of the way d_j costs the share ``loss`` of it. The
+    way leads around obstacles; it is the straight one if none of the places has such a way.
+    """
+    with np.errstate(divide="ignore"):
+        costs = -np.log(worth)
+    if airspace is not None and airspace.obstacles:
+        around = _costs_around(airspace.ways, places, costs, nodes, loss)
+        if np.isfinite(around).any():
+            return np.asarray(np.exp(-around))
+    distances = np.linalg.norm(places[:, np.newaxis] - nodes, axis=2)
+    return np.asarray(np.exp(-(costs + loss * distances).min(axis=1)))
+
+
+def _costs_around(ways: Ways, places: Array, costs: Array, nodes: Array, loss: float) -> Array:
+    """Return min_j (costs_j + loss d_j) (m,) with the ways d_j around obstacles, which begin and end off the grid."""
+    points, distances = ways.nearest(nodes)
+    at_points = np.full(len(ways.points), np.inf)
+    np.minimum.at(at_points, points, costs + loss * distances)
+    least = ways.least(at_points, loss)
+    points, distances = ways.nearest(places)
+    return np.asarray(least[points] + loss * distances)
 
 
 @dataclass
@@ -103,10 +129,15 @@ class LookAhead(Policy):
 
     horizon: float = option(25.0, "how far to look ahead, in seconds", above=0.0)
     headings: int = option(24, "number H of headings that are compared", minimum=1)
-    discount: float = option(0.95, "weight g of a difference that is seen a second later", above=0.0, maximum=1.0)
+    discount: float = option(0.95, "weight g of a difference that is seen a second later", above=0.0, maximum=0.99)
     floor: float = option(0.01, "c0, in units of the variable: smaller differences count little", above=0.0)
     samples: int = option(2, "points a step along a path at which predictions are compared", minimum=1)
     variable: str | None = option(None, "state variable that is compared; null: the first with places in the plane")
+
+    @classmethod
+    def check_options(cls) -> Mapping[str, Any]:
+        """Return a short horizon."""
+        return {"horizon": 4.0}
 
     def suit(self, space: StateSpace) -> None:
         """Raise ConfigurationError if the variable does not exist, has no places in the plane, or holds angles."""
@@ -126,6 +157,8 @@ class LookAhead(Policy):
     def plan(self, outlook: Outlook, rng: np.random.Generator) -> Route:
         """Return the first leg of the best path for each vehicle, decided independently of the others."""
         vehicle, n_vehicles = outlook.vehicle, len(outlook.vehicle.positions)
+        if not n_vehicles:
+            return Route(())
         cycles = max(1, round(self.horizon / vehicle.dt))
         paths = [free_paths(position, vehicle, self.headings, cycles) for position in vehicle.positions]
         scores = np.full((n_vehicles, self.headings), -np.inf)
@@ -162,10 +195,10 @@ class LookAhead(Policy):
 
         times = dt * np.arange(1, cycles + 1)
         scores = np.tensordot(self.discount**times, seen.mean(axis=-1), axes=1)
+        loss = -np.log(self.discount) / outlook.vehicle.speed
         for number, one in enumerate(paths):
-            distance = np.linalg.norm(one.ends[:, np.newaxis] - coordinates, axis=2)
-            arrival = times[-1] + distance / max(outlook.vehicle.speed, 1e-12)
-            scores[number] += (self.discount**arrival * later).max(axis=1)
+            afterwards = worth_later(one.ends, later, coordinates, loss, outlook.vehicle.airspace)
+            scores[number] += self.discount ** times[-1] * afterwards
             scores[number, one.legs == 0] = -np.inf
         return scores
 
