@@ -5,12 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dafw.core.space import Array
+
+if TYPE_CHECKING:
+    from dafw.core.ways import Ways
+
+GRID = 80
+"""Steps of the grid of ``Domain.ways`` along the longer side."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +40,12 @@ class Domain:
         return np.array([Polygon(ring) for ring in self.obstacles], dtype=object)
 
     @cached_property
+    def _tree(self) -> Any:
+        from shapely import STRtree
+
+        return STRtree(self._polygons)
+
+    @cached_property
     def _boxes(self) -> tuple[Array, Array]:
         """The lowest and the highest corners of the obstacles' bounding boxes, both (K, 2)."""
         lowest = np.array([ring.min(axis=0) for ring in self.obstacles]).reshape(-1, 2)
@@ -53,6 +65,26 @@ class Domain:
         # Most segments are far from all obstacles; the bounding boxes show that without a call of shapely.
         near = ((lowest <= np.maximum(start, end)) & (highest >= np.minimum(start, end))).all(axis=1)
         return not (near.any() and self._touches(near, start, end))
+
+    def are_free(self, starts: Array, ends: Array) -> NDArray[np.bool_]:
+        """Return ``is_free`` (k,) for many segments at once, from ``starts`` to ``ends``, both (k, 2)."""
+        import shapely
+
+        low, high = np.array(self.bounds[:2]), np.array(self.bounds[2:])
+        free = np.logical_and.reduce([((low <= ends_) & (ends_ <= high)).all(axis=1) for ends_ in (starts, ends)])
+        if len(self.obstacles):
+            still = (starts == ends).all(axis=1)
+            flown = np.where(still, shapely.points(starts), shapely.linestrings(np.stack([starts, ends], axis=1)))
+            free[self._tree.query(flown, predicate="intersects")[0]] = False
+        return np.asarray(free)
+
+    @cached_property
+    def ways(self) -> Ways:
+        """Shortest ways around the obstacles, on a grid; made when first asked for."""
+        from dafw.core.ways import ways_in
+
+        x_min, y_min, x_max, y_max = self.bounds
+        return ways_in(self, max(x_max - x_min, y_max - y_min) / GRID)
 
     def _touches(self, near: NDArray[np.bool_], start: Array, end: Array) -> bool:
         """Return whether the segment touches one of the obstacles marked in ``near`` (K,)."""

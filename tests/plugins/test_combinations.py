@@ -32,7 +32,9 @@ MISFITS = {
         for model in ("linear_advection", "lorenz96")
         for observer in ("drone", "stations", "composite")
     },
-    ("model", "policy"): {(model, "enie2d"): PLACES for model in ("linear_advection", "lorenz96")},
+    ("model", "policy"): {
+        (model, policy): PLACES for model in ("linear_advection", "lorenz96") for policy in ("enie2d", "look_ahead")
+    },
     ("model", "filter"): {(model, "kalman"): "filter 'kalman'" for model in ("ad", "ad_ins")},  # bounded; N < n
 }
 """Parts that do not fit together, and the message of the refusal."""
