@@ -25,6 +25,7 @@ class Controls:
     Attributes:
         names: of the variables.
         entries: (k,) their entries in the state.
+        has_fields: whether one of them has more than one number.
 
     Raises ConfigurationError for names that are not variables of the space.
     """
@@ -36,6 +37,7 @@ class Controls:
         self.names = tuple(names) or tuple(single) or tuple(variable.name for variable in space.variables)
         if len(set(self.names)) < len(self.names):
             raise ConfigurationError(f"control variables: a name is listed twice in {list(self.names)}")
+        self.has_fields = any(space[name].size > 1 for name in self.names)
         parts = [space.slice(name) for name in self.names]
         self.entries: IntArray = np.concatenate([np.arange(part.start, part.stop) for part in parts])
         kinds = np.concatenate([np.full(space[name].size, space[name].kind.value) for name in self.names])
@@ -45,14 +47,16 @@ class Controls:
     def __len__(self) -> int:
         return len(self.entries)
 
-    def moved(self, rerun: Rerun, start: Array, steps: Array) -> Array:
+    def moved(self, rerun: Rerun, start: Array, steps: Array, *, settle: bool = True) -> Array:
         """Return members (N, n) at the start whose controls have moved by ``steps`` (N, k), the fields recomputed.
 
-        The steps are those of ``StateSpace.retract``: positive numbers move in their logarithms.
+        The steps are those of ``StateSpace.retract``: positive numbers move in their logarithms. ``settle=False``: the
+        fields stay as they are, because the members are not at the release, or because a field is itself a control.
         """
         moves = np.zeros_like(start)
         moves[:, self.entries] = steps
-        return rerun.settled_members(self.space.retract(start, moves))
+        moved = self.space.retract(start, moves)
+        return rerun.settled_members(moved) if settle else moved
 
     def coordinates(self, members: Array) -> Array:
         """Return the controls (N, k) in coordinates without bounds: logarithms of positive and nonnegative numbers."""
