@@ -2,8 +2,8 @@
 
 The control variables at the beginning of the window are updated with all readings of the analysis in several small
 steps, each with the readings' errors inflated and with a re-run of the model. In step i, with the controls' anomalies
-A (N, k), the predictions' anomalies Y (N, M) and the readings less each member's predictions D (N, M), both in units of
-the readings' errors, and standard normal draws Z (N, M)::
+A (N, k) in the coordinates of dafw.plugins.filters.rerunning, the predictions' anomalies Y (N, M) and the readings less
+each member's predictions D (N, M), both in units of the readings' errors, and standard normal draws Z (N, M)::
 
     Y    = U diag(s) V^T                                                  singular values in descending order
     x   <- x + (D + sqrt(alpha_i) Z) V diag(s / (s^2 + (N - 1) alpha_i)) U^T A
@@ -62,11 +62,12 @@ class ESMDA(Rerunning):
 
     def moved_start(self, work: Work, rng: np.random.Generator) -> Run:
         """Return the run of the members after the last step."""
-        guess = work.first
-        steps = (self.inflation - 1.0) * work.anomalies(guess)
+        before = work.controls.coordinates(work.first)
+        coordinates = before + (self.inflation - 1.0) * work.spread(work.first)[1]
         for alpha in coefficients(self.iterations, self.decrease):
-            run = work.run(guess.members, steps, np.zeros_like(steps))
-            guess = run.start.ensemble
+            run = work.run(coordinates, before)
+            guess = run.start.ensemble.members
+            before = work.controls.coordinates(guess)
             perturbed = run.missed + np.sqrt(alpha) * rng.standard_normal(run.missed.shape)
-            steps = perturbed @ gain(run.anomalies, alpha, self.energy) @ work.anomalies(guess)
-        return work.run(guess.members, steps, np.zeros_like(steps), last=True)
+            coordinates = before + perturbed @ gain(run.anomalies, alpha, self.energy) @ work.spread(guess)[1]
+        return work.run(coordinates, before, last=True)

@@ -47,20 +47,15 @@ class Weights:
     """
 
     def __init__(self, work: Work) -> None:
-        first, entries = work.first, work.controls.entries
-        anomalies = work.anomalies(first)
-        # Circular means leave anomalies whose sum is not exactly zero.
-        mean_step = np.zeros(first.space.size)
-        mean_step[entries] = anomalies.mean(axis=0)
-        basis = zero_mean_basis(len(first))
-        self._work, self._members = work, first.members.copy()
-        self._members[:, entries] = first.space.retract(first.mean, mean_step)[entries]
+        self._work = work
+        self._centre, anomalies = work.spread(work.first)
+        basis = zero_mean_basis(len(anomalies))
         self._a = work.inflation * (basis.T @ anomalies)
         self.weights: Array = basis / work.inflation
 
     def run(self, weights: Array, *, last: bool = False) -> Run:
         """Return the run of members at ``weights`` (N, N - 1), and remember where they really were."""
-        run = self._work.run(self._members, weights @ self._a, self.weights @ self._a, last=last)
+        run = self._work.run(self._centre + weights @ self._a, self._centre + self.weights @ self._a, last=last)
         self.weights = partly(self.weights, weights, run.share)
         return run
 

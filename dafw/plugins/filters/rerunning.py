@@ -7,6 +7,9 @@ and uses the new ones only. The beliefs within the window are then revised, so t
 known by now. Bocquet and Sakov (2014), doi:10.1002/qj.2236, call this single data assimilation; ``every`` is the
 shift S of their windows, and ``window`` their length L.
 
+**Coordinates.** Controls move as plain numbers, in the logarithm if they are positive, or single and nonnegative: so
+none is caught at zero, where a linear update would put a wind speed again and again. Angles are taken modulo 2 pi.
+
 **Members that cannot be run.** If the model fails for a member that was moved, the member's move is halved and the run
 repeated; after ``HALVINGS`` halvings the member goes back to where it was before the move. An error that names no
 member halves all moves. If a member fails where it was before the move, the error ends the study.
@@ -24,7 +27,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from dafw.core.ensemble import Analysis, Diagnostic, Ensemble, Forecast
+from dafw.core.ensemble import Analysis, Diagnostic, Forecast
 from dafw.core.errors import ConfigurationError, DivergenceError, SolverError
 from dafw.core.interfaces import Filter
 from dafw.core.observation import whiten
@@ -160,39 +163,43 @@ class Rerunning(Filter):
 
 
 class Work:
-    """What one analysis works with: the readings, the control variables, and re-runs.
+    """What one analysis works with: the readings, the control variables in coordinates, and re-runs.
 
     Attributes:
         readings: those that the analysis uses, as they are compared.
         controls: the control variables.
-        first: the belief at the beginning of the window.
+        first: the members (N, n) at the beginning of the window.
         inflation: the factor on the controls' anomalies.
         runs, halvings: how many re-runs of the ensemble were made, and how many moves were halved.
     """
 
     def __init__(self, filter_: Rerunning, window: Window, readings: Compared) -> None:
-        self.readings, self.first, self.inflation = readings, window.first.ensemble, filter_.inflation
-        self.controls = Controls(self.first.space, filter_.estimate)
+        self.readings, self.first, self.inflation = readings, window.first.ensemble.members, filter_.inflation
+        self.controls = Controls(window.first.ensemble.space, filter_.estimate)
         self.runs = self.halvings = 0
         self._window, self._keep = window, filter_.uses_new_only
         self._at_start = window.cycles[0].number == 0
 
-    def anomalies(self, ensemble: Ensemble) -> Array:
-        """Return the anomalies (N, k) of the controls."""
-        return np.asarray(ensemble.anomalies[:, self.controls.entries])
+    def spread(self, members: Array) -> tuple[Array, Array]:
+        """Return the mean (k,) of the members' controls in coordinates, and the anomalies (N, k) around it."""
+        middle = self.controls.coordinates(self.controls.space.mean(members)[np.newaxis])[0]
+        anomalies = self.controls.offset(self.controls.coordinates(members), middle)
+        # The circular mean of angles, and the logarithm of a mean, are not quite the mean in coordinates.
+        shift = anomalies.mean(axis=0)
+        return middle + shift, anomalies - shift
 
-    def run(self, members: Array, steps: Array, before: Array, *, last: bool = False) -> Run:
-        """Run ``members`` (N, n) at the beginning of the window, their controls moved by ``steps`` (N, k), to now.
+    def run(self, coordinates: Array, before: Array, *, last: bool = False) -> Run:
+        """Run members with their controls at ``coordinates`` (N, k) from the beginning of the window to now.
 
-        Members for which the model fails make a part of the way from ``before`` (N, k), steps with which it has not
+        Members for which the model fails go only a part of the way from ``before`` (N, k), with which it has not
         failed. ``last``: this is the last run of the analysis. Raises the model's error if it fails at ``before``, too.
         """
-        window, share = self._window, np.ones(len(members))
+        window, share = self._window, np.ones(len(coordinates))
         settle = self._at_start and not self.controls.has_fields
         first, end = window.cycles[0].number, window.cycles[-1].number + 1
         while True:
-            made = partly(before, steps, share)
-            moved = self.first.with_members(self.controls.moved(window.rerun, members, made, settle=settle))
+            tried = partly(before, coordinates, share)
+            moved = window.first.ensemble.with_members(self.controls.at(window.rerun, self.first, tried, settle=settle))
             # The model makes the memory of members at its start; in the middle of a study they have theirs already.
             start = window.rerun.with_memory(moved) if self._at_start else replace(window.first, ensemble=moved)
             self.runs += 1
