@@ -69,5 +69,7 @@ class ESMDA(Rerunning):
             guess = run.start.ensemble.members
             before = work.controls.coordinates(guess)
             perturbed = run.missed + np.sqrt(alpha) * rng.standard_normal(run.missed.shape)
-            coordinates = before + perturbed @ gain(run.anomalies, alpha, self.energy) @ work.spread(guess)[1]
+            # In the cheapest order: no matrix as large as the square of many members, or of many readings.
+            factors = [perturbed, gain(run.anomalies, alpha, self.energy), work.spread(guess)[1]]
+            coordinates = before + np.linalg.multi_dot(factors)
         return work.run(coordinates, before, last=True)
