@@ -3,10 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import shutil
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Sequence
@@ -16,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks import Measurement, benchmark
+from benchmarks.environments import interpreter_with, worker_output
 from dafw.core.composition import compose, study_part
-from dafw.core.errors import ComputationError
 from dafw.core.experiment import study_from
 from dafw.core.runs import open_run
 from dafw.studies.running import run_study
@@ -83,11 +79,11 @@ def etkf_over_dapper(short: bool) -> Measurement:
     DAPPER is that of ``assimilate`` alone. DAPPER has no free run, so dafw's is off.
     """
     cycles, rounds = (70, 1) if short else (1400, 7)
-    interpreter = dapper_interpreter()
+    interpreter_with(DAPPER)  # made before anything is timed
     timed_run(["experiment=lorenz96", "cycles=20"])
     ours, theirs = [], []
     for seed in range(rounds):
-        theirs.append(_dapper_run(interpreter, cycles, seed + 1))
+        theirs.append(_dapper_run(cycles, seed + 1))
         ours.append(timed_run(["experiment=lorenz96", f"cycles={cycles}", f"seed={seed}"]))
     pairs = list(zip(ours, theirs, strict=True))
     ratios = [their.seconds / our.seconds for our, their in pairs]
@@ -102,37 +98,6 @@ def etkf_over_dapper(short: bool) -> Measurement:
     return Measurement(float(np.median(ratios)), "times DAPPER's cycles per second", 5.0, detail)
 
 
-def _dapper_run(interpreter: Path, cycles: int, seed: int) -> Timed:
-    worker = Path(__file__).parent / "workers" / "dapper_l96.py"
-    # One thread for both: small matrices gain nothing from more.
-    environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MPLBACKEND": "agg"}
-    printed = _command([str(interpreter), "-W", "ignore", str(worker), str(cycles), str(seed)], environment)
-    result = json.loads(printed.splitlines()[-1])
+def _dapper_run(cycles: int, seed: int) -> Timed:
+    result = json.loads(worker_output(DAPPER, "dapper_l96.py", [str(cycles), str(seed)]))
     return Timed(result["seconds"], result["processor_seconds"], result["rmse"])
-
-
-def dapper_interpreter() -> Path:
-    """Return the Python of an environment that holds nothing but DAPPER, made once in the user's cache."""
-    from platformdirs import user_cache_path
-
-    folder = (
-        user_cache_path("dafw") / f"{DAPPER.replace('==', '-')}-py{sys.version_info.major}.{sys.version_info.minor}"
-    )
-    interpreter, ready = folder / "bin" / "python", folder / "ready"
-    if not ready.exists():
-        if uv := shutil.which("uv"):
-            _command([uv, "venv", "--clear", "--python", sys.executable, str(folder)])
-            _command([uv, "pip", "install", "--python", str(interpreter), DAPPER])
-        else:
-            _command([sys.executable, "-m", "venv", "--clear", str(folder)])
-            _command([str(interpreter), "-m", "pip", "install", "--quiet", DAPPER])
-        ready.touch()
-    return interpreter
-
-
-def _command(words: Sequence[str], environment: dict[str, str] | None = None) -> str:
-    done = subprocess.run(words, env=environment, capture_output=True, text=True, check=False)
-    if done.returncode:
-        last = (done.stderr or done.stdout).strip().splitlines()[-1:]
-        raise ComputationError(f"{Path(words[0]).name} {' '.join(words[1:3])} failed: {' '.join(last)}")
-    return done.stdout

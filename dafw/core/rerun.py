@@ -100,13 +100,17 @@ class Rerun:
                 f"{self._model.label}: a re-run needs members (N, {self._model.space.size}), got {members.shape}"
             )
         if isinstance(start, Ensemble):
-            start = Forecast(start, self._model.initial_memory(start.members))
+            start = self.with_memory(start)
         ensemble = start.ensemble
         # The prefix keeps other roles apart from the study's own: no role can name the streams of the truth or noise.
         rng = self._streams.members(role if role == MODEL_ERROR else f"rerun {role}", first)
         batch = Batch(ensemble.members, start.memory, ensemble.time, rng, last - first, wanted, keep)
         stepped = self._executor.submit(self._model, batch)
         return lambda: self._replay(ensemble, first, last, stepped(), keep)
+
+    def with_memory(self, ensemble: Ensemble) -> Forecast:
+        """Return an ensemble with the memory that the model makes for members that it has not stepped yet."""
+        return Forecast(ensemble, self._model.initial_memory(ensemble.members))
 
     def settled(self, ensemble: Ensemble) -> Ensemble:
         """Return an ensemble at the start with its fields recomputed from its parameters (``Model.settled``)."""

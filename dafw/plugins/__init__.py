@@ -30,6 +30,13 @@ def dafw_plugins() -> list[PluginSpec]:
         PluginSpec("filter", "none", f"{_HERE}.filters.none:NoFilter", "the forecast is the analysis"),
         PluginSpec("filter", "amis", f"{_HERE}.filters.amis:AMIS", "adaptive multiple importance sampling, re-runs"),
         PluginSpec("filter", "enks", f"{_HERE}.filters.enks:EnKS", "ensemble Kalman smoother, fixed lag or interval"),
+        PluginSpec(
+            "filter", "esmda", f"{_HERE}.filters.esmda:ESMDA", "ES-MDA: small stochastic updates, re-runs between"
+        ),
+        PluginSpec(
+            "filter", "ienks", f"{_HERE}.filters.ienks:IEnKS", "iterative ensemble Kalman smoother, Gauss-Newton"
+        ),
+        PluginSpec("filter", "restart_enkf", f"{_HERE}.filters.restart_enkf:RestartEnKF", "one update, then a re-run"),
         PluginSpec("readings", "twin", f"{_HERE}.readings.twin:Twin", "what the observer reads of a truth, with noise"),
         PluginSpec("readings", "listed", f"{_HERE}.readings.listed:Listed", "a list of readings with their times"),
         PluginSpec("executor", "serial", "dafw.core.executors.serial:Serial", "steps members in this process"),

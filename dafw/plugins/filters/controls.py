@@ -25,6 +25,7 @@ class Controls:
     Attributes:
         names: of the variables.
         entries: (k,) their entries in the state.
+        has_fields: whether one of them has more than one number.
 
     Raises ConfigurationError for names that are not variables of the space.
     """
@@ -36,10 +37,13 @@ class Controls:
         self.names = tuple(names) or tuple(single) or tuple(variable.name for variable in space.variables)
         if len(set(self.names)) < len(self.names):
             raise ConfigurationError(f"control variables: a name is listed twice in {list(self.names)}")
+        self.has_fields = any(space[name].size > 1 for name in self.names)
         parts = [space.slice(name) for name in self.names]
         self.entries: IntArray = np.concatenate([np.arange(part.start, part.stop) for part in parts])
         kinds = np.concatenate([np.full(space[name].size, space[name].kind.value) for name in self.names])
-        self._logarithmic = np.isin(kinds, [POSITIVE.value, NONNEGATIVE.value])
+        # Where a field is zero, it may well stay zero. A single number, such as a wind speed, must not be caught there.
+        sizes = np.concatenate([np.full(space[name].size, space[name].size) for name in self.names])
+        self._logarithmic = (kinds == POSITIVE.value) | ((kinds == NONNEGATIVE.value) & (sizes == 1))
         self._angles = np.flatnonzero(kinds == ANGLE.value)
 
     def __len__(self) -> int:
@@ -55,7 +59,7 @@ class Controls:
         return rerun.settled_members(self.space.retract(start, moves))
 
     def coordinates(self, members: Array) -> Array:
-        """Return the controls (N, k) in coordinates without bounds: logarithms of positive and nonnegative numbers."""
+        """Return the controls (N, k) in coordinates: logarithms of positive and of single nonnegative numbers."""
         values: Array = members[:, self.entries].copy()
         values[:, self._logarithmic] = np.log(np.maximum(values[:, self._logarithmic], SMALLEST))
         return values
@@ -64,13 +68,18 @@ class Controls:
         """Return log |dx / dz| (N,): added to a log density of the numbers x, it makes one of the coordinates z."""
         return np.asarray(coordinates[:, self._logarithmic].sum(axis=1))
 
-    def at(self, rerun: Rerun, start: Array, coordinates: Array) -> Array:
-        """Return members (N, n) at the start with the controls at ``coordinates`` (N, k), the fields recomputed."""
+    def at(self, rerun: Rerun, start: Array, coordinates: Array, *, settle: bool = True) -> Array:
+        """Return members (N, n) at the start with the controls at ``coordinates`` (N, k), the fields recomputed.
+
+        ``settle=False``: the other numbers stay as they are, because the members are not at the release, or because a
+        field is itself a control.
+        """
         values = coordinates.copy()
         values[:, self._logarithmic] = np.exp(values[:, self._logarithmic])
         members = start.copy()
         members[:, self.entries] = values
-        return rerun.settled_members(self.space.retract(members, np.zeros(self.space.size)))
+        members = self.space.retract(members, np.zeros(self.space.size))
+        return rerun.settled_members(members) if settle else members
 
     def offset(self, coordinates: Array, centre: Array) -> Array:
         """Return ``coordinates`` less ``centre``, both (..., k); angles wrapped to [-pi, pi)."""

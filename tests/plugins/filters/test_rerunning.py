@@ -1,0 +1,275 @@
+"""What the filters with re-runs have in common: which readings, which controls, members that cannot be run."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from decays import AMOUNTS, Decay, cycles_of, decay_cycles, listed
+
+from dafw import ConfigurationError, Filter, StateSpace, Variable
+from dafw.authoring.filter_windows import Elsewhere
+from dafw.core.ensemble import Analysis
+from dafw.core.errors import DivergenceError
+from dafw.plugins.filters.compared import Comparison
+from dafw.plugins.filters.esmda import ESMDA
+from dafw.plugins.filters.ienks import IEnKS
+from dafw.plugins.filters.restart_enkf import RestartEnKF
+
+ALL = [ESMDA(), ESMDA(window=3), IEnKS(), IEnKS(window=3), IEnKS(variant="bundle"), RestartEnKF()]
+NAMES = ["esmda", "esmda-window", "ienks", "ienks-window", "ienks-bundle", "restart_enkf"]
+
+
+def reported(cycle, name):
+    """Return a diagnostic of the filter; None where it reported none."""
+    found = cycle.analysis.diagnostics.get(name)
+    return None if found is None else float(found.values)
+
+
+# Members that cannot be run ----------------------------------------------------------------------------------------
+
+
+def hard_start():
+    """Return a first guess whose rates lie below the true one, so that an update goes beyond the limit of 0.4."""
+    return np.column_stack([np.linspace(1.2, 1.6, 8), np.array([0.2, 0.33, 0.25, 0.39, 0.3, 0.22, 0.36, 0.28])])
+
+
+@pytest.mark.parametrize("filter_", ALL, ids=NAMES)
+@pytest.mark.parametrize("fault", ["member", "no member"])
+def test_a_member_that_cannot_be_run_does_not_go_all_the_way(filter_, fault):
+    cycles = decay_cycles(filter_, Decay(limit=0.4, fault=fault, start=hard_start()), members=8)
+    assert len(cycles) == 6
+    assert sum(reported(cycle, "moves_halved") for cycle in cycles) > 0
+    for cycle in cycles:
+        assert cycle.belief.members[:, 1].max() <= 0.4
+    free = decay_cycles(filter_, Decay(start=hard_start()), members=8)
+    assert free[-1].belief.members[:, 1].max() > 0.4
+    assert sum(reported(cycle, "moves_halved") for cycle in free) == 0
+
+
+def test_the_other_members_go_all_the_way():
+    filter_ = ESMDA(every=6, iterations=1)
+    free = decay_cycles(filter_, Decay(start=hard_start()), members=8)[-1]
+    reached = free.belief.members[:, 1]
+    limit = float(np.sort(reached)[-3])
+    assert limit > hard_start()[:, 1].max()
+    limited = decay_cycles(filter_, Decay(limit=limit, start=hard_start()), members=8)[-1]
+    stopped = reached > limit
+    assert stopped.sum() == 2 and reported(limited, "moves_halved") >= stopped.sum()
+    np.testing.assert_array_equal(limited.belief.members[~stopped], free.belief.members[~stopped])
+    # In logarithms the others made a half, a quarter, ... of their way, or none of it.
+    share = np.log(limited.belief.members[stopped, 1] / hard_start()[stopped, 1])
+    share /= np.log(reached[stopped] / hard_start()[stopped, 1])
+    assert all(min(abs(one - part) for part in (0.5, 0.25, 0.125, 0.0625, 0.0)) < 1e-12 for one in share)
+
+
+@pytest.mark.parametrize("filter_", ALL, ids=NAMES)
+def test_halved_moves_have_the_same_bits_wherever_members_are_stepped(filter_):
+    model = Decay(limit=0.4, start=hard_start())
+    here, there = (decay_cycles(filter_, model, members=8, **options) for options in ({}, {"executor": Elsewhere()}))
+    for one, other in zip(here, there, strict=True):
+        assert one.belief.members.tobytes() == other.belief.members.tobytes()
+
+
+@dataclass
+class Wearing(Decay):
+    """It cannot be stepped in the second cycle, wherever the members are."""
+
+    def step_with_memory(self, members, memory, t, rng):
+        if t == 1.0 and self.fault == "now":
+            raise DivergenceError("worn out")
+        return super().step_with_memory(members, memory, t, rng)
+
+
+@dataclass
+class Spoiling(Filter):
+    """Leaves the model unable to be run again."""
+
+    inner: Filter
+    model: Wearing
+    window = None
+    past_beliefs = "first"
+
+    def analyse_window(self, window, rng):
+        if window.cycles[-1].number < 1:
+            return Analysis(window.forecast.ensemble.members)
+        self.model.fault = "now"
+        return self.inner.analyse_window(window, rng)
+
+
+@pytest.mark.parametrize("inner", [ESMDA(), IEnKS(), RestartEnKF()], ids=["esmda", "ienks", "restart_enkf"])
+def test_a_model_that_fails_where_no_member_was_moved_ends_the_study(inner):
+    model = Wearing()
+    with pytest.raises(DivergenceError, match="worn out"):
+        decay_cycles(Spoiling(inner, model), model)
+
+
+# Which readings ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("filter_", "used"),
+    [
+        (ESMDA(), [1, 2, 3, 4, 5, 6]),
+        (ESMDA(every=3), [None, None, 3, None, None, 6]),
+        (ESMDA(window=4), [1, 1, 1, 1, 1, 1]),
+        (ESMDA(window=4, every=2), [None, 2, None, 2, None, 2]),
+        (RestartEnKF(), [1, 1, 1, 1, 1, 1]),
+        (RestartEnKF(every=3), [None, None, 3, None, None, 3]),
+        (RestartEnKF(readings="all", every=2), [None, 2, None, 4, None, 6]),
+    ],
+    ids=["all", "all-every", "new", "new-every", "restart", "restart-every", "restart-all"],
+)
+def test_each_analysis_uses_the_readings_it_should(filter_, used):
+    cycles = decay_cycles(filter_)
+    assert [reported(cycle, "readings_used") for cycle in cycles] == used
+    for cycle in cycles:
+        if reported(cycle, "readings_used") is None:
+            np.testing.assert_array_equal(cycle.belief.members, cycle.forecast.members)
+
+
+def silent_cycles(filter_, silent):
+    return cycles_of(Decay(), filter_, listed(AMOUNTS, 0.02, silent), 6, 10)
+
+
+def test_a_reading_about_to_leave_the_window_is_used_before_its_time():
+    # The analyses due after cycles 1 and 3 (counted from 0) find nothing read. Cycle 0 would leave after cycle 2.
+    found = [reported(cycle, "readings_used") for cycle in silent_cycles(RestartEnKF(every=2), (1, 3))]
+    assert found == [None, None, None, None, None, 4]  # to the start: nothing leaves
+    found = [reported(cycle, "readings_used") for cycle in silent_cycles(IEnKS(window=3, every=2), (1, 3))]
+    assert found == [None, None, 2, None, None, 2]
+
+
+def test_a_reading_that_left_the_window_in_silence_is_reported():
+    cycles = silent_cycles(IEnKS(window=2, every=2), (1, 2, 3))
+    assert [reported(cycle, "readings_missed") for cycle in cycles] == [0, None, None, None, 1, 0]
+    assert reported(cycles[-1], "readings_used") == 2
+
+
+# Which controls ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("filter_", [ESMDA, IEnKS, RestartEnKF])
+def test_only_the_controls_move(filter_):
+    cycle = decay_cycles(filter_(estimate=["rate"]), members=6)[0]
+    first = np.exp(np.log(cycle.forecast.members) + [1.0, 0.0] * cycle.forecast.members[:, 1:])[:, 0]
+    moved = cycle.belief.members
+    np.testing.assert_allclose(moved[:, 0] * np.exp(moved[:, 1]), first, rtol=1e-12)
+    assert np.abs(moved[:, 1] - cycle.forecast.members[:, 1]).min() > 0.0
+
+
+@dataclass
+class Filling(Decay):
+    """Its tank at the start is ten times the rate, and drains into the amount."""
+
+    def __post_init__(self):
+        self.space = StateSpace([Variable("tank", 2), Variable("rate", 1)])
+
+    def initial(self, n_members, rng):
+        return self.settled(rng.draw(n_members, lambda one: np.array([0.0, 0.0, 1.0 + 0.3 * one.standard_normal()])))
+
+    def settled(self, members):
+        return np.column_stack([10.0 * members[:, 2], 10.0 * members[:, 2], members[:, 2]])
+
+    def step_with_memory(self, members, memory, t, rng):
+        from dafw import Step
+
+        return Step(members * [0.5, 0.5, 1.0], {"steps": memory["steps"] + 1.0})
+
+
+@pytest.mark.parametrize("filter_", [ESMDA, IEnKS])
+def test_fields_follow_from_the_controls_at_the_release_and_there_alone(filter_):
+    def cycles(**options):
+        return cycles_of(Filling(), filter_(**options), listed([4.0, 2.0, 1.0, 0.5], 0.1), 4, 6)
+
+    for cycle in cycles():
+        members = cycle.belief.members
+        np.testing.assert_allclose(members[:, 0], 10.0 * members[:, 2] * 0.5**cycle.state.cycle, rtol=1e-12)
+    # In a window that begins later, the tank is what it is.
+    before, after = cycles(window=1)[1:3]
+    np.testing.assert_array_equal(after.belief.members[:, :2], 0.5 * before.belief.members[:, :2])
+    # A tank that is a control itself does not follow from the rate.
+    members = cycles(estimate=["tank"])[0].belief.members
+    assert np.abs(members[:, 0] - 5.0 * members[:, 2]).min() > 1e-3
+
+
+@pytest.mark.parametrize("filter_", ALL, ids=NAMES)
+def test_the_models_memory_belongs_to_the_new_members(filter_):
+    for done, cycle in enumerate(decay_cycles(filter_), 1):
+        np.testing.assert_array_equal(cycle.state.belief.memory["steps"], float(done))
+        for number, belief in cycle.analysis.revised.items():
+            np.testing.assert_array_equal(belief.memory["steps"], float(number))
+
+
+# Refused -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("filter_", [ESMDA, IEnKS, RestartEnKF])
+def test_controls_that_there_are_not_are_refused_before_anything_is_computed(filter_):
+    with pytest.raises(ConfigurationError, match=r"no state variable 'wind' \(there are: amount, rate\)"):
+        decay_cycles(filter_(estimate=["wind"]))
+
+
+@pytest.mark.parametrize("filter_", [ESMDA, IEnKS])
+def test_a_window_in_which_readings_would_be_left_out_is_refused(filter_):
+    with pytest.raises(ConfigurationError, match="every must be at most window"):
+        decay_cycles(filter_(window=2, every=3))
+
+
+@dataclass
+class Weighing(Filter):
+    """Gives weights to the members that another filter must take."""
+
+    inner: Filter
+    window = None
+
+    def analyse_window(self, window, rng):
+        if window.cycles[-1].number == 0:
+            return Analysis(window.forecast.ensemble.members, weights=np.full(10, 0.1))
+        return self.inner.analyse_window(window, rng)
+
+
+def test_members_with_weights_are_refused():
+    with pytest.raises(ConfigurationError, match="expected members that count equally, got members with weights"):
+        decay_cycles(Weighing(ESMDA()))
+
+
+# How readings are compared -----------------------------------------------------------------------------------------
+
+VALUES = np.array([0.5, 0.0, -0.02])
+R = np.array([[4e-4, 1e-4, 0.0], [1e-4, 1e-4, 0.0], [0.0, 0.0, 9e-4]])
+
+
+def test_model_error_is_added_to_the_readings_error():
+    comparison = Comparison(model_error=0.03, relative_model_error=0.2)
+    expected = np.add(np.diag(R), [9e-4 + 0.01, 9e-4, 9e-4 + 1.6e-5])
+    np.testing.assert_allclose(comparison.covariance(VALUES, np.diag(R)), expected, rtol=1e-14)
+    full = comparison.covariance(VALUES, R)
+    np.testing.assert_allclose(np.diag(full), expected, rtol=1e-14)
+    np.testing.assert_array_equal(full - np.diag(np.diag(full)), R - np.diag(np.diag(R)))
+    np.testing.assert_array_equal(comparison.of(VALUES), VALUES)
+
+
+def test_logarithms_take_what_is_below_zero_for_nothing():
+    comparison = Comparison(logarithm=True, floor=0.01)
+    np.testing.assert_allclose(comparison.of(VALUES), np.log([0.51, 0.01, 0.01]), rtol=1e-14)
+    sd = np.sqrt(comparison.covariance(VALUES, np.diag(R)))
+    np.testing.assert_allclose(sd, np.log1p(np.array([0.02 / 0.51, 0.01 / 0.01, 0.03 / 0.01])), rtol=1e-14)
+    full = comparison.covariance(VALUES, R)
+    np.testing.assert_allclose(np.sqrt(np.diag(full)), sd, rtol=1e-14)
+    np.testing.assert_allclose(full[0, 1] / (sd[0] * sd[1]), R[0, 1] / np.sqrt(R[0, 0] * R[1, 1]), rtol=1e-14)
+    small = comparison.covariance(VALUES, 1e-12 * R)  # errors so small that the logarithm is straight
+    np.testing.assert_allclose(np.sqrt(np.diag(small)), np.sqrt(1e-12 * np.diag(R)) / [0.51, 0.01, 0.01], rtol=1e-5)
+
+
+@pytest.mark.parametrize("filter_", [ESMDA, IEnKS, RestartEnKF])
+def test_in_logarithms_a_decay_is_linear_and_found_at_once(filter_):
+    # log(amount) is linear in log(amount at the start) and in the rate, and the rate is known here.
+    start = np.column_stack([np.exp(np.linspace(-3.0, 3.0, 9)), np.full(9, 0.45)])
+    model = Decay(start=start)
+    filter_ = filter_(estimate=["amount"], every=6, transform="log", floor=1e-12)
+    last = decay_cycles(filter_, model, members=9, sd=1e-4)[-1]
+    found = last.belief.members[:, 0] / AMOUNTS[-1]
+    if isinstance(filter_, ESMDA):
+        np.testing.assert_allclose(found, 1.0, rtol=2e-3)
+    else:
+        np.testing.assert_allclose(found.mean(), 1.0, rtol=1e-6)
