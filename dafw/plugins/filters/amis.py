@@ -42,20 +42,18 @@ from dafw.plugins.filters.candidates import (
     log_prior_of,
     normalized,
     rows,
-    systematic,
     tempered,
+    without_repeats,
 )
 from dafw.plugins.filters.controls import Controls
 from dafw.plugins.filters.kernels import Kernels
 from dafw.plugins.filters.likelihood import Likelihood
+from dafw.plugins.filters.shown import members_drawn
 
 HOPELESS = 30.0
 """A proposal whose log prior is this much below the best sample's has no weight and is not run."""
 EQUAL = 0.9
 """Effective sample size, per sample, above which weights are as good as equal."""
-MIDDLE = 0.5
-"""The offset of the draw of members. It stays the same, so that most members stay from one analysis to the next: a
-policy would otherwise see another belief in each cycle, and the model would need other winds."""
 
 
 @dataclass
@@ -90,7 +88,7 @@ class AMIS(Filter):
         """Return members drawn from the weighted samples."""
         number, ensemble = window.cycles[-1].number, window.forecast.ensemble
         if (number + 1) % self.every:
-            return Analysis(ensemble.members, window.memory)
+            return Analysis(ensemble.members, window.memory, weights=ensemble.weights)
         controls, size = Controls(ensemble.space, self.estimate), len(ensemble)
         samples, kernels = self._known(window, controls)
         cost = size * len(window.cycles)
@@ -112,12 +110,17 @@ class AMIS(Filter):
             if found is not None:
                 samples = samples.joined(replace(found, log_proposal=self._of_all(found, kernels, size)))
             batches += 1
-        kept = samples.thinned(weights, self.archive * size, rng.random())
-        belief = rows(samples.now, systematic(weights, size, MIDDLE))
+        # The same offset in all analyses: a policy that saw other members in every cycle would turn to and fro.
+        offset = rng.random() if window.memory is None else float(window.memory["offset"])
+        drawn, shares = members_drawn(samples.now.ensemble, weights, size, offset)
+        belief = rows(samples.now, drawn)
         members = ensemble.space.retract(belief.ensemble.members, np.zeros(ensemble.space.size))
-        memory = {**kept.to_memory(), **kernels.to_memory(), "done": np.array(number + 1)}
+        indices, chance = without_repeats(weights, self.archive * size, rng.random())
+        kept = samples.taken(indices)
+        kept = replace(kept, log_kept=kept.log_kept + np.log(chance))
+        memory = {**kept.to_memory(), **kernels.to_memory(), "done": np.array(number + 1), "offset": np.array(offset)}
         diagnostics = self._diagnostics(samples, weights, batches * size)
-        return Analysis(members, memory, diagnostics, model_memory=belief.memory)
+        return Analysis(members, memory, diagnostics, shares, model_memory=belief.memory)
 
     def _known(self, window: Window, controls: Controls) -> tuple[Candidates, Kernels]:
         """Return the samples so far, carried to the present, and the proposals so far."""

@@ -89,26 +89,6 @@ class Candidates:
         rest = self.taken(kept)
         return replace(rest, fit=rest.fit + fit, now=now)
 
-    def thinned(self, weights: Array, size: int, offset: float) -> Candidates:
-        """Return ``size`` of the candidates in their order: those of large weight, and some of the others.
-
-        A candidate of weight w is kept with the probability min(1, c w), with c such that ``size`` are expected, and
-        this probability divides its weight from now on. So every average keeps its expectation.
-        """
-        if len(self) <= size:
-            return self
-        chance = np.minimum(1.0, weights * size)
-        for _ in range(len(self)):
-            sure = chance >= 1.0
-            rest = weights[~sure].sum()
-            scaled = np.where(sure, 1.0, weights * (size - sure.sum()) / rest if rest > 0.0 else 0.0)
-            if (scaled <= 1.0).all():
-                break
-            chance = np.minimum(1.0, scaled)
-        kept = np.flatnonzero(np.diff(np.floor(np.cumsum(scaled) + offset), prepend=np.floor(offset)) >= 1.0)
-        rest_of_all = self.taken(kept)
-        return replace(rest_of_all, log_kept=rest_of_all.log_kept + np.log(scaled[kept]))
-
 
 def rows(forecast: Forecast, indices: IntArray) -> Forecast:
     """Return the members of the given indices (M,) of a forecast, without weights, with their share of the memory."""
@@ -215,3 +195,26 @@ def systematic(weights: Array, size: int, offset: float) -> IntArray:
     """
     positions = (offset + np.arange(size)) / size
     return np.minimum(np.searchsorted(np.cumsum(weights), positions), len(weights) - 1)
+
+
+def without_repeats(shares: Array, size: int, offset: float) -> tuple[IntArray, Array]:
+    """Return ``size`` different indices in ascending order, and the chance (size,) that each had of being drawn.
+
+    The chance of an index is min(1, c share), with c such that the chances add up to ``size``. A weight divided by
+    the chance therefore keeps the expectation of every average (Horvitz and Thompson 1952,
+    doi:10.1080/01621459.1952.10483446). Returns all if there are not more than ``size``.
+    """
+    if len(shares) <= size:
+        return np.arange(len(shares)), np.ones(len(shares))
+    sure = np.zeros(len(shares), dtype=bool)
+    while True:
+        rest = shares[~sure].sum()
+        scaled = shares * (size - sure.sum()) / rest if rest > 0.0 else np.zeros(len(shares))
+        more = ~sure & (scaled >= 1.0)
+        if not more.any():
+            break
+        sure |= more
+    chance = np.where(sure, 1.0, scaled)
+    steps = np.floor(np.cumsum(chance) + offset)
+    drawn = np.flatnonzero(np.diff(steps, prepend=0.0) >= 1.0)
+    return drawn, chance[drawn]
