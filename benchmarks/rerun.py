@@ -67,10 +67,10 @@ def over_stepping(overrides: Sequence[str], lengths: Sequence[int], n_members: i
     return Measurement(float(np.median(before / after)), "times as many steps a second", baseline, detail)
 
 
-def _case(short: bool, experiment: str, baseline: float) -> Measurement:
+def _case(short: bool, experiment: str, baseline: float, *overrides: str) -> Measurement:
     if short:
-        return over_stepping([*SMALL, "model.noise=0", "executor=serial"], (4, 8), 2, baseline)
-    return over_stepping([f"experiment={experiment}", *REDUCED], 4 * (50, 100), 10, baseline)
+        return over_stepping([*SMALL, "model.noise=0", "executor=serial", *overrides], (4, 8), 2, baseline)
+    return over_stepping([f"experiment={experiment}", *REDUCED, *overrides], 4 * (50, 100), 10, baseline)
 
 
 @benchmark("rerun.over_stepping_2k7")
@@ -83,3 +83,9 @@ def over_stepping_2k7(short: bool) -> Measurement:
 def over_stepping_10k(short: bool) -> Measurement:
     """The same on 10,045 nodes."""
     return _case(short, "enie2d_paper", 5.0)
+
+
+@benchmark("rerun.fct_over_stepping_2k7")
+def fct_over_stepping_2k7(short: bool) -> Measurement:
+    """The same on 2,715 nodes with flux-corrected transport and an open boundary."""
+    return _case(short, "enie2d", 2.0, "model.transport.scheme=fct", "model.transport.outflow=open")

@@ -12,7 +12,8 @@ from benchmarks import curves
 from benchmarks.cycle import SMALL
 
 ROOT = Path(__file__).parent.parent
-NAMES = ["cycle.realtime_factor_n10", "cycle.over_literal", "cycle.overhead_ms"]
+RERUNS = ["rerun.over_stepping_2k7", "rerun.fct_over_stepping_2k7"]
+NAMES = ["cycle.realtime_factor_n10", "cycle.over_literal", "cycle.overhead_ms", *RERUNS]
 
 
 @pytest.fixture(scope="module")
@@ -32,6 +33,11 @@ def test_all_of_them_run(results):
 def test_both_configurations_come_to_the_same_belief(results):
     detail = results["cycle.over_literal"]["detail"]
     assert detail["err_best"] == pytest.approx(detail["err_literal"], rel=1e-3)
+
+
+@pytest.mark.parametrize("name", RERUNS)
+def test_both_ways_to_run_again_come_to_the_same_members(results, name):
+    assert 0.0 < results[name]["detail"]["largest_difference"] < 1e-8
 
 
 def test_the_parts_of_a_cycle_fit_into_it(results):

@@ -31,7 +31,7 @@ BYTES_PER_ENTRY = {"iterative": 100, "direct": 100}
 """Memory of one system in bytes per entry of its matrix, by solver; flux-corrected transport has another 100.
 
 Measured, iterative: 40 after weak winds alone (ILU(0)), 70 to 110 after medium winds, too (ILU(1)), 100 after strong
-winds alone (LU), 160 after winds of all kinds. Direct: 56 on 2,715 nodes, 91 on 10,045.
+winds alone (LU), 160 after winds of all kinds. Direct: 60 on 2,715 nodes, 90 on 10,045.
 """
 
 LEAST_KEPT = 64

@@ -10,7 +10,7 @@ from dolfinx import fem
 from flow_meshes import rectangle
 
 from dafw.core.errors import ConfigurationError, ContractError, SolverError
-from dafw.plugins.models.dispersion.fem.sparse_lu import factorised
+from dafw.plugins.models.dispersion.fem.sparse_lu import SparseLU
 from dafw.plugins.models.dispersion.transport.limiter import limited
 from dafw.plugins.models.dispersion.transport.options import TransportOptions, require_one_process
 from dafw.plugins.models.dispersion.transport.transport import Transport
@@ -247,7 +247,7 @@ def test_what_makes_no_sense_is_refused(block, around_block):
     with pytest.raises(SolverError, match="residual of nan"):
         system.step(np.full(transport.matrices.nodes, np.nan))
     with pytest.raises(SolverError, match=r"sparse LU: .*singular"):
-        factorised(transport.matrices.sparsity, np.zeros(transport.matrices.sparsity.indices.size))
+        SparseLU(transport.matrices.elimination).factorise(np.zeros(transport.matrices.sparsity.indices.size))
     for options, words in (
         ({"scheme": "fct"}, r"scheme 'fct' works in one process, expected 'galerkin' or 'supg'"),
         ({"outflow": "open"}, r"outflow 'open' works in one process, expected 'zero'"),
