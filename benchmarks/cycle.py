@@ -26,7 +26,7 @@ from dafw.studies.running import run_study
 
 PAPER = ("experiment=enie2d_paper", "pictures=false")
 SMALL = (
-    "experiment=enie2d",
+    "experiment=enie2d_literal",
     "pictures=false",
     "members=2",
     "model.mesh.wall_size=60",

@@ -59,6 +59,10 @@ REDUCED = {
     ),
     r"^dafw study (?!tiny cycles=5 --seeds 0-1$)(?!--list).*": (r"\g<0> --no-pictures", "the first study draws them"),
     r"^dafw run.* model\.wind\.solver=reduced.*$": (rf"\g<0> {BASIS}", "a basis of four winds"),
+    r"^dafw run(?!.*--cfg)(?!.*experiment=)(?!.*~experiment)(?!.*solver=reduced).*$": (
+        rf"\g<0> {BASIS}",
+        "the default study: a basis of four winds",
+    ),
     FLAGSHIP: (rf"\g<0> {COARSE}", "some 300 nodes, three members, one cycle"),
     r"python -m benchmarks (?!.*over_dapper)": (f"{BENCHMARKS} --short ", "the values mean nothing, the command works"),
     r"python -m benchmarks(?=\.curves)": (f"{BENCHMARKS}", "the benchmarks are in the clone"),
