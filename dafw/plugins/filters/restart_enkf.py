@@ -30,7 +30,6 @@ import numpy as np
 from dafw.core.options import option
 from dafw.plugins.filters.ienks import Weights, newton_step
 from dafw.plugins.filters.rerunning import Rerunning, Run, Work
-from dafw.plugins.filters.rotation import zero_mean_basis
 
 
 @dataclass
@@ -52,7 +51,7 @@ class RestartEnKF(Rerunning):
 
     def moved_start(self, work: Work, rng: np.random.Generator) -> Run:
         """Return the run of c + (w + B T) a."""
-        basis, place = zero_mean_basis(len(work.first)), Weights(work)
-        run = place.run(basis)
+        place = Weights(work)
+        run = place.run(place.basis)
         w, T = newton_step(place.weights, run)  # noqa: N806
-        return place.run(w + basis @ T, last=True)
+        return place.run(w + place.basis @ T, last=True)
