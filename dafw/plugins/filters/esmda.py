@@ -18,8 +18,8 @@ The inversion is one in the space of the ensemble, however many readings there a
 singular values, beyond the first that hold this share of the sum of all s^2: what many readings agree on is kept, and
 chance correlations of few members are not.
 
-Emerick and Reynolds (2013), doi:10.1016/j.cageo.2012.03.011; decreasing coefficients: Rafiee and Reynolds (2017),
-doi:10.1088/1361-6420/aa904d; subspace inversion: Evensen (2004), doi:10.1007/s10236-004-0099-2.
+Emerick and Reynolds (2013), doi:10.1016/j.cageo.2012.03.011; subspace inversion: Evensen (2004),
+doi:10.1007/s10236-004-0099-2.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
 The controls at the beginning of the window are x = c + w a, with the mean c of the ensemble and its anomalies a (r, k)
 in an orthonormal basis B (N, r) of weights with zero mean. The first guess says that w (r,) is Gaussian with the
-covariance I / (N - 1). With the readings y of the window, their errors R and their prediction h(x),
-which runs the model, the most probable w minimises ::
+covariance I / (N - 1). With the readings y of the window, their errors R and their prediction h(x), which runs the
+model, the most probable w minimises ::
 
     J(w) = (N - 1) / 2 |w|^2 + 1/2 |y - h(c + w a)|^2_R
 
@@ -26,7 +26,7 @@ only one. The members after the analysis are c + (w + B T) a, run to the present
 
 The basis B has r = N - 1 columns. But if members differ in their controls alone, and there are fewer controls, B spans
 only what moves the controls: predictions depend on nothing else, and a regression on all N - 1 weights would take what
-is not linear in them for an effect of the others, which have none. Where other numbers differ as well, the first
+is not linear in the controls for an effect of weights that have none. Where other numbers differ as well, the first
 iteration counts them as unknown; later ones take their effect for a larger one of the controls, because it does not
 shrink with S. So the controls should be all that is unknown.
 
@@ -59,11 +59,12 @@ class Weights:
         weights: where the members were in the last run, which may be nearer to the run before than they were sent.
     """
 
-    def __init__(self, work: Work) -> None:
+    def __init__(self, work: Work, *, few: bool = False) -> None:
+        """Take all N - 1 weights; ``few``: only those that move the controls, if members differ in nothing else."""
         self._work = work
         self._centre, anomalies = work.spread(work.first)
         self.basis = zero_mean_basis(len(anomalies))
-        if work.differ_in_controls_alone(self._centre):
+        if few and work.differ_in_controls_alone(self._centre):
             axes, sizes, _ = np.linalg.svd(self.basis.T @ anomalies, full_matrices=False)
             self.basis = self.basis @ axes[:, : max(1, np.count_nonzero(sizes > SINGULAR * sizes[0]))]
         self._a = work.inflation * (self.basis.T @ anomalies)
@@ -110,7 +111,7 @@ class IEnKS(Rerunning):
 
     def moved_start(self, work: Work, rng: np.random.Generator) -> Run:
         """Return the run of c + (w + B T) a."""
-        place, n1 = Weights(work), len(work.first) - 1
+        place, n1 = Weights(work, few=True), len(work.first) - 1
         basis, size = place.basis, place.basis.shape[1]
         w, T = np.zeros(size), np.eye(size)  # noqa: N806
         fixed = self.variant == "bundle"
