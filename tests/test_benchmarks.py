@@ -36,6 +36,13 @@ def test_an_unknown_name_is_a_wrong_request():
 
 
 @pytest.mark.skip(
+    reason="downloads pyESMDA into an environment of its own; run: python -m benchmarks esmda.difference_from_pyesmda"
+)
+def test_esmda_is_compared_with_pyesmda():
+    assert command("esmda.difference_from_pyesmda", "--short").returncode == 0
+
+
+@pytest.mark.skip(
     reason="downloads DAPPER into an environment of its own; run: python -m benchmarks l96.etkf_over_dapper"
 )
 def test_dapper_is_timed_on_the_same_setting():

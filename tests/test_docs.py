@@ -64,7 +64,10 @@ REDUCED = {
         "the default study: a basis of four winds",
     ),
     FLAGSHIP: (rf"\g<0> {COARSE}", "some 300 nodes, three members, one cycle"),
-    r"python -m benchmarks (?!.*over_dapper)": (f"{BENCHMARKS} --short ", "the values mean nothing, the command works"),
+    r"python -m benchmarks (?!.*(over_|from_py))": (
+        f"{BENCHMARKS} --short ",
+        "the values mean nothing, the command works",
+    ),
     r"python -m benchmarks(?=\.curves)": (f"{BENCHMARKS}", "the benchmarks are in the clone"),
     r"--seeds 0 1 2 3 4": (f"--seeds 0 --cycles 1 {MESH} {BASIS}", "one seed, one cycle, the mesh and the basis above"),
     r"python -m benchmarks(?=\.growth)": (f"{BENCHMARKS}", "the benchmarks are in the clone"),
@@ -76,6 +79,7 @@ REDUCED = {
 OMITTED = {
     r"^uv pip compile ": "asks a package registry, and would write the lock file",
     r"l96\.etkf_over_dapper": "downloads DAPPER into an environment of its own",
+    r"esmda\.difference_from_pyesmda": "downloads pyESMDA into an environment of its own",
 }
 """Commands that are not run at all, and why."""
 

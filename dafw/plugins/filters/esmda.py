@@ -18,8 +18,8 @@ The inversion is one in the space of the ensemble, however many readings there a
 singular values, beyond the first that hold this share of the sum of all s^2: what many readings agree on is kept, and
 chance correlations of few members are not.
 
-Emerick and Reynolds (2013), doi:10.1016/j.cageo.2012.03.011; decreasing coefficients: Rafiee and Reynolds (2017),
-doi:10.1088/1361-6420/aa904d; subspace inversion: Evensen (2004), doi:10.1007/s10236-004-0099-2.
+Emerick and Reynolds (2013), doi:10.1016/j.cageo.2012.03.011; subspace inversion: Evensen (2004),
+doi:10.1007/s10236-004-0099-2.
 """
 
 from __future__ import annotations
@@ -62,14 +62,14 @@ class ESMDA(Rerunning):
 
     def moved_start(self, work: Work, rng: np.random.Generator) -> Run:
         """Return the run of the members after the last step."""
-        before = work.controls.coordinates(work.first)
-        coordinates = before + (self.inflation - 1.0) * work.spread(work.first)[1]
+        centre, anomalies = work.spread(work.first)
+        before, coordinates = centre + anomalies, centre + self.inflation * anomalies
         for alpha in coefficients(self.iterations, self.decrease):
             run = work.run(coordinates, before)
-            guess = run.start.ensemble.members
-            before = work.controls.coordinates(guess)
+            centre, anomalies = work.spread(run.start.ensemble.members)
             perturbed = run.missed + np.sqrt(alpha) * rng.standard_normal(run.missed.shape)
+            before = centre + anomalies
             # In the cheapest order: no matrix as large as the square of many members, or of many readings.
-            factors = [perturbed, gain(run.anomalies, alpha, self.energy), work.spread(guess)[1]]
-            coordinates = before + np.linalg.multi_dot(factors)
+            step = np.linalg.multi_dot([perturbed, gain(run.anomalies, alpha, self.energy), anomalies])
+            coordinates = before + step
         return work.run(coordinates, before, last=True)

@@ -11,8 +11,10 @@ shift S of their windows, and ``window`` their length L.
 none is caught at zero, where a linear update would put a wind speed again and again. Angles are taken modulo 2 pi.
 
 **Members that cannot be run.** If the model fails for a member that was moved, the member's move is halved and the run
-repeated; after ``HALVINGS`` halvings the member goes back to where it was before the move. An error that names no
-member halves all moves. If a member fails where it was before the move, the error ends the study.
+repeated. After ``HALVINGS`` halvings the member goes back to where it was before. If the model fails for it there, too
+(a member of the first guess may fail at a later time than it ever reached), it goes half of the way to the mean of the
+members, and so on; after as many halvings, to the mean. If that fails, the error ends the study. An error that names no
+member is taken to be about all of them.
 
 **Model error.** A re-run has the random numbers of the belief's own steps, so a model with drawn noise is a fixed but
 different function for each member. These filters take the members' differences for the effect of the controls; they
@@ -33,27 +35,28 @@ from dafw.core.interfaces import Filter
 from dafw.core.observation import whiten
 from dafw.core.options import option
 from dafw.core.rerun import Replay
-from dafw.core.space import Array, StateSpace
+from dafw.core.space import Array, IntArray, StateSpace
 from dafw.core.window import Window
 from dafw.plugins.filters.compared import Compared, Comparison, compared, counted, recalled, remembered
 from dafw.plugins.filters.controls import Controls
 
 HALVINGS = 4
+LAST_TRY = 2 * HALVINGS + 2
 
 
 @dataclass(frozen=True, eq=False)
 class Run:
     """A re-run of moved members.
 
-    ``start`` is the ensemble at the beginning of the window. ``share`` (N,) is how much of its move each member made: 1
-    unless the model failed. ``anomalies`` (N, M) and ``innovation`` (M,) are the predictions less their mean, and the
-    readings less this mean; ``missed`` (N, M) are the readings less the predictions. All three are in units of the
-    readings' errors (whitened).
+    ``start`` is the ensemble at the beginning of the window. ``tries`` (N,) counts how often the model failed for each
+    member before (see ``reached``). ``anomalies`` (N, M) and ``innovation`` (M,) are the predictions less their mean,
+    and the readings less this mean; ``missed`` (N, M) are the readings less the predictions. All three are in units of
+    the readings' errors (whitened).
     """
 
     start: Forecast
     replay: Replay
-    share: Array
+    tries: IntArray
     anomalies: Array
     innovation: Array
 
@@ -68,10 +71,15 @@ class Run:
         return float(np.mean(self.innovation**2))
 
 
-def partly(before: Array, after: Array, share: Array) -> Array:
-    """Return rows (N, k) that lie a ``share`` (N,) of the way from ``before`` to ``after``; at 1 exactly ``after``."""
-    part = share[:, np.newaxis]
-    return np.where(part < 1.0, before + part * (after - before), after)
+def reached(before: Array, after: Array, tries: IntArray) -> Array:
+    """Return where members (N, k) are placed that should go from ``before`` to ``after``, after so many failed tries.
+
+    They go all the way, half of it, ..., not at all; half of the way from ``before`` to the mean, ..., to the mean.
+    """
+    forward = np.where(tries <= HALVINGS, 0.5**tries, 0.0)[:, np.newaxis]
+    back = np.where(tries < LAST_TRY, 1.0 - 0.5 ** np.maximum(tries - HALVINGS - 1.0, 0.0), 1.0)[:, np.newaxis]
+    retreated = before + forward * (after - before) + back * (before.mean(axis=0) - before)
+    return np.where(tries[:, np.newaxis] == 0, after, retreated)
 
 
 @dataclass
@@ -130,7 +138,7 @@ class Rerunning(Filter):
         seen |= {
             "readings_used": Diagnostic(work.readings.values.size, long_name="readings that the analysis used"),
             "model_runs": Diagnostic(work.runs, long_name="re-runs of the whole ensemble"),
-            "moves_halved": Diagnostic(work.halvings, long_name="moves halved because the model failed"),
+            "runs_failed": Diagnostic(work.failures, long_name="how often the model failed for a member of a re-run"),
             "mismatch": Diagnostic(
                 run.mismatch, long_name="mean square of what the analysis leaves unexplained, over the readings' errors"
             ),
@@ -170,15 +178,27 @@ class Work:
         controls: the control variables.
         first: the members (N, n) at the beginning of the window.
         inflation: the factor on the controls' anomalies.
-        runs, halvings: how many re-runs of the ensemble were made, and how many moves were halved.
+        runs, failures: how many re-runs of the ensemble were made, and how often one failed for a member.
     """
 
     def __init__(self, filter_: Rerunning, window: Window, readings: Compared) -> None:
         self.readings, self.first, self.inflation = readings, window.first.ensemble.members, filter_.inflation
         self.controls = Controls(window.first.ensemble.space, filter_.estimate)
-        self.runs = self.halvings = 0
+        self.runs = self.failures = 0
         self._window, self._keep = window, filter_.uses_new_only
         self._at_start = window.cycles[0].number == 0
+        self._settle = self._at_start and not self.controls.has_fields
+
+    def placed(self, coordinates: Array) -> Array:
+        """Return the members (N, n) at the beginning of the window with their controls at ``coordinates`` (N, k)."""
+        return self.controls.at(self._window.rerun, self.first, coordinates, settle=self._settle)
+
+    def differ_in_controls_alone(self, centre: Array) -> bool:
+        """Return whether all members are the same if their controls are at ``centre`` (k,)."""
+        if not self._at_start and self._window.first.memory is not None:
+            return False
+        same = self.placed(np.tile(centre, (len(self.first), 1)))
+        return bool((same == same[0]).all())
 
     def spread(self, members: Array) -> tuple[Array, Array]:
         """Return the mean (k,) of the members' controls in coordinates, and the anomalies (N, k) around it."""
@@ -191,15 +211,14 @@ class Work:
     def run(self, coordinates: Array, before: Array, *, last: bool = False) -> Run:
         """Run members with their controls at ``coordinates`` (N, k) from the beginning of the window to now.
 
-        Members for which the model fails go only a part of the way from ``before`` (N, k), with which it has not
-        failed. ``last``: this is the last run of the analysis. Raises the model's error if it fails at ``before``, too.
+        Members for which the model fails are placed nearer to ``before`` (N, k), or to the mean of ``before``.
+        ``last``: this is the last run of the analysis. Raises the model's error if it fails at the mean, too.
         """
-        window, share = self._window, np.ones(len(coordinates))
-        settle = self._at_start and not self.controls.has_fields
+        window, tries = self._window, np.zeros(len(coordinates), dtype=np.int64)
+        stays = (coordinates == before).all(axis=1)
         first, end = window.cycles[0].number, window.cycles[-1].number + 1
         while True:
-            tried = partly(before, coordinates, share)
-            moved = window.first.ensemble.with_members(self.controls.at(window.rerun, self.first, tried, settle=settle))
+            moved = window.first.ensemble.with_members(self.placed(reached(before, coordinates, tries)))
             # The model makes the memory of members at its start; in the middle of a study they have theirs already.
             start = window.rerun.with_memory(moved) if self._at_start else replace(window.first, ensemble=moved)
             self.runs += 1
@@ -207,12 +226,14 @@ class Work:
                 replay = window.rerun(start, first, end, operators=self.readings.operators, keep=last and self._keep)
                 break
             except (SolverError, DivergenceError) as error:
-                failed = slice(None) if error.member is None else error.member
-                if not share[failed].any():
+                failed = np.arange(len(tries)) if error.member is None else np.array([error.member])
+                if (tries[failed] == LAST_TRY).all():
                     raise
-                self.halvings += int(np.count_nonzero(share[failed]))
-                share[failed] = np.where(share[failed] > 0.5**HALVINGS, 0.5 * share[failed], 0.0)
+                # A member that was not to move is not tried again at the same place.
+                tries[failed] = np.where(stays[failed], np.maximum(tries[failed], HALVINGS + 1), tries[failed]) + 1
+                tries = np.minimum(tries, LAST_TRY)
+                self.failures += len(failed)
         predicted = self.readings.predicted(replay)
         mean = predicted.mean(axis=0)
         rows = whiten(self.readings.covariance, np.vstack([predicted - mean, self.readings.values - mean]))
-        return Run(start, replay, share, rows[:-1], rows[-1])
+        return Run(start, replay, tries, rows[:-1], rows[-1])

@@ -12,13 +12,14 @@ dafw.plugins.filters.ienks, the update is that of the ensemble transform Kalman 
     w  = H^-1 Y dy,    T = sqrt(N - 1) H^-1/2
     x  = c + (w + B T) a
 
-which is the first iteration of ``ienks``. For a linear model and Gaussian errors it is exact. ``readings: new`` takes
-the readings since the last analysis and the start as updated by those before; ``all`` takes all readings and the first
-guess in every analysis, in one step, which suits models that are nearly linear in the controls.
+which is the first iteration of ``ienks`` with B for all N - 1 weights. So what is not linear in the controls counts as
+uncertain, which a single step from members that lie far apart needs. For a linear model and Gaussian errors it is
+exact. ``readings: new`` takes the readings since the last analysis and the start as updated by those before; ``all``
+takes all readings and the first guess in every analysis.
 
-Gu and Oliver (2007), doi:10.2118/108438-PA; Hendricks Franssen and Kinzelbach (2008), doi:10.1029/2007WR006505. These
-perturb the readings. We transform, because that draws nothing and needs fewer members; with perturbed readings and all
-of them it is ``esmda`` with one iteration.
+Gu and Oliver (2007), doi:10.2118/108438-PA; for a tracer: doi:10.3390/geosciences10070276 (2020). These perturb the
+readings. We transform, because that draws nothing and needs fewer members; with perturbed readings and all of them it
+is ``esmda`` with one iteration.
 """
 
 from __future__ import annotations
@@ -30,7 +31,6 @@ import numpy as np
 from dafw.core.options import option
 from dafw.plugins.filters.ienks import Weights, newton_step
 from dafw.plugins.filters.rerunning import Rerunning, Run, Work
-from dafw.plugins.filters.rotation import zero_mean_basis
 
 
 @dataclass
@@ -52,7 +52,7 @@ class RestartEnKF(Rerunning):
 
     def moved_start(self, work: Work, rng: np.random.Generator) -> Run:
         """Return the run of c + (w + B T) a."""
-        basis, place = zero_mean_basis(len(work.first)), Weights(work)
-        run = place.run(basis)
+        place = Weights(work)
+        run = place.run(place.basis)
         w, T = newton_step(place.weights, run)  # noqa: N806
-        return place.run(w + basis @ T, last=True)
+        return place.run(w + place.basis @ T, last=True)

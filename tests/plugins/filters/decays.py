@@ -94,6 +94,13 @@ def require_moments(ensemble, expected, tolerance=1e-9):
     np.testing.assert_allclose(covariance(ensemble), expected[1], rtol=0, atol=tolerance)
 
 
+@dataclass
+class Pair(Linear):
+    """The same with two variables, of which one alone can be estimated."""
+
+    space: StateSpace = field(default_factory=lambda: StateSpace([Variable("left", 1), Variable("right", 1)]))
+
+
 # A decay -------------------------------------------------------------------------------------------------------------
 
 

@@ -108,11 +108,11 @@ class Bent(Model):
         return np.column_stack([np.arctan(members[:, 1]), members[:, 1]])
 
 
-def bent_start(**options):
+def bent_start(variant="bundle", **options):
     """Return the start as found, and its cost relative to the first guess's."""
     centre, sd = 4.0, 0.01
     start = np.column_stack([np.zeros(5), exact_draws(5, np.array([centre]), np.array([[100.0]]))])
-    filter_ = IEnKS(window=1, estimate=["straight"], variant="bundle", **options)
+    filter_ = IEnKS(window=1, estimate=["straight"], variant=variant, **options)
     cycle = cycles_of(Bent(start), filter_, listed([0.0], sd), 1, 5)[-1]
 
     def cost(x):
@@ -128,7 +128,12 @@ def test_a_step_that_goes_too_far_is_halved():
     assert found == pytest.approx(expected, abs=1e-7)
 
 
-@pytest.mark.parametrize("iterations", [1, 2, 3])
+def test_members_far_apart_lead_near_the_most_probable_start_from_where_their_mean_is_no_guide():
+    found, expected, cost = bent_start("transform", iterations=30)
+    assert cost < 1e-3 and abs(found - expected) < 0.1
+
+
+@pytest.mark.parametrize("iterations", [2, 3])
 def test_a_search_cut_short_is_no_worse_than_the_first_guess(iterations):
     assert bent_start(iterations=iterations)[2] < 1.0 + 1e-6
 

@@ -4,7 +4,22 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from decays import AMOUNTS, Decay, cycles_of, decay_cycles, listed
+from decays import (
+    AMOUNTS,
+    CYCLES,
+    MEAN,
+    P0,
+    SD,
+    VALUES,
+    Decay,
+    N,
+    Pair,
+    cycles_of,
+    decay_cycles,
+    exact_draws,
+    listed,
+    rauch_tung_striebel,
+)
 
 from dafw import ConfigurationError, Filter, StateSpace, Variable
 from dafw.authoring.filter_windows import Elsewhere
@@ -13,6 +28,7 @@ from dafw.core.errors import DivergenceError
 from dafw.plugins.filters.compared import Comparison
 from dafw.plugins.filters.esmda import ESMDA
 from dafw.plugins.filters.ienks import IEnKS
+from dafw.plugins.filters.rerunning import reached
 from dafw.plugins.filters.restart_enkf import RestartEnKF
 
 ALL = [ESMDA(), ESMDA(window=3), IEnKS(), IEnKS(window=3), IEnKS(variant="bundle"), RestartEnKF()]
@@ -38,12 +54,36 @@ def hard_start():
 def test_a_member_that_cannot_be_run_does_not_go_all_the_way(filter_, fault):
     cycles = decay_cycles(filter_, Decay(limit=0.4, fault=fault, start=hard_start()), members=8)
     assert len(cycles) == 6
-    assert sum(reported(cycle, "moves_halved") for cycle in cycles) > 0
+    assert sum(reported(cycle, "runs_failed") for cycle in cycles) > 0
     for cycle in cycles:
         assert cycle.belief.members[:, 1].max() <= 0.4
     free = decay_cycles(filter_, Decay(start=hard_start()), members=8)
     assert free[-1].belief.members[:, 1].max() > 0.4
-    assert sum(reported(cycle, "moves_halved") for cycle in free) == 0
+    assert sum(reported(cycle, "runs_failed") for cycle in free) == 0
+
+
+@dataclass
+class LateFault(Decay):
+    """Cannot be stepped from the fourth cycle on with a rate above 0.8."""
+
+    def step_with_memory(self, members, memory, t, rng):
+        self.limit = 0.8 if t >= 3.0 else np.inf
+        return super().step_with_memory(members, memory, t, rng)
+
+
+@pytest.mark.parametrize("filter_", [ESMDA(), IEnKS(), RestartEnKF(readings="all")], ids=["esmda", "ienks", "restart"])
+@pytest.mark.parametrize("fault", ["member", "no member"])
+def test_a_member_of_the_first_guess_that_fails_later_comes_nearer_to_the_mean(filter_, fault):
+    start = np.column_stack([np.linspace(1.3, 1.5, 8), np.linspace(0.25, 0.9, 8)])
+    cycles = decay_cycles(filter_, LateFault(start=start, fault=fault), members=8)
+    assert [reported(cycle, "runs_failed") > 0 for cycle in cycles] == [False] * 3 + [True] * 3
+    assert np.abs(cycles[-1].belief.mean[1] - 0.45) < 0.05
+
+
+def test_where_members_are_placed_after_failures():
+    before, after = np.array([[0.0], [8.0]]), np.array([[16.0], [8.0]])
+    places = [reached(before, after, np.array([tries, 0]))[0, 0] for tries in range(11)]
+    assert places == [16.0, 8.0, 4.0, 2.0, 1.0, 0.0, 2.0, 3.0, 3.5, 3.75, 4.0]
 
 
 def test_the_other_members_go_all_the_way():
@@ -54,7 +94,7 @@ def test_the_other_members_go_all_the_way():
     assert limit > hard_start()[:, 1].max()
     limited = decay_cycles(filter_, Decay(limit=limit, start=hard_start()), members=8)[-1]
     stopped = reached > limit
-    assert stopped.sum() == 2 and reported(limited, "moves_halved") >= stopped.sum()
+    assert stopped.sum() == 2 and reported(limited, "runs_failed") >= stopped.sum()
     np.testing.assert_array_equal(limited.belief.members[~stopped], free.belief.members[~stopped])
     # In logarithms the others made a half, a quarter, ... of their way, or none of it.
     share = np.log(limited.belief.members[stopped, 1] / hard_start()[stopped, 1])
@@ -157,6 +197,34 @@ def test_only_the_controls_move(filter_):
     assert np.abs(moved[:, 1] - cycle.forecast.members[:, 1]).min() > 0.0
 
 
+@pytest.mark.parametrize(
+    "filter_", [IEnKS(estimate=["right"], window=CYCLES, iterations=1), RestartEnKF(estimate=["right"])]
+)
+def test_numbers_that_are_unknown_but_not_estimated_count_as_unknown(filter_):
+    """The estimated one has the mean and variance that it has if both are estimated."""
+    model, readings = Pair(exact_draws(N, MEAN, P0)), listed(VALUES[:1], SD)
+    first = cycles_of(model, filter_, readings, 1, N)[-1].analysis.revised[0].ensemble
+    means, covariances = rauch_tung_striebel([0], 1)
+    assert first.mean[1] == pytest.approx(means[0][1], abs=1e-9)
+    assert first.variance[1] == pytest.approx(covariances[0][1, 1], abs=1e-9)
+    np.testing.assert_array_equal(first.members[:, 0], model.members[:, 0])
+
+
+def test_few_controls_are_found_by_regression_on_them_alone():
+    """Ten members that differ in one number: what is bent in it is not taken for an effect of eight others."""
+    start = np.column_stack([np.full(10, 1.4), np.exp(np.linspace(-2.0, 0.0, 10))])
+    last = decay_cycles(IEnKS(every=6, iterations=1), Decay(start=start), sd=0.01)[-1]
+    z, predicted = np.log(start[:, 1]), 1.4 * np.exp(-start[:, 1:] * np.arange(1, 7))
+    slope = (z - z.mean()) @ (predicted - predicted.mean(axis=0)) / np.sum((z - z.mean()) ** 2)
+    variance = 1.0 / (1.0 / z.var(ddof=1) + slope @ slope / 0.01**2)
+    mean = z.mean() + variance * slope @ (AMOUNTS - predicted.mean(axis=0)) / 0.01**2
+    found = np.log(last.belief.members[:, 1])
+    assert found.mean() == pytest.approx(mean, rel=1e-9) and found.var(ddof=1) == pytest.approx(variance, rel=1e-9)
+    # A single step from members far apart takes what is bent for uncertain.
+    other = decay_cycles(RestartEnKF(every=6), Decay(start=start), sd=0.01)[-1]
+    assert np.log(other.belief.members[:, 1]).var(ddof=1) > 2.0 * variance
+
+
 @dataclass
 class Filling(Decay):
     """Its tank at the start is ten times the rate, and drains into the amount."""
@@ -235,29 +303,29 @@ def test_members_with_weights_are_refused():
 
 # How readings are compared -----------------------------------------------------------------------------------------
 
-VALUES = np.array([0.5, 0.0, -0.02])
+READ = np.array([0.5, 0.0, -0.02])
 R = np.array([[4e-4, 1e-4, 0.0], [1e-4, 1e-4, 0.0], [0.0, 0.0, 9e-4]])
 
 
 def test_model_error_is_added_to_the_readings_error():
     comparison = Comparison(model_error=0.03, relative_model_error=0.2)
     expected = np.add(np.diag(R), [9e-4 + 0.01, 9e-4, 9e-4 + 1.6e-5])
-    np.testing.assert_allclose(comparison.covariance(VALUES, np.diag(R)), expected, rtol=1e-14)
-    full = comparison.covariance(VALUES, R)
+    np.testing.assert_allclose(comparison.covariance(READ, np.diag(R)), expected, rtol=1e-14)
+    full = comparison.covariance(READ, R)
     np.testing.assert_allclose(np.diag(full), expected, rtol=1e-14)
     np.testing.assert_array_equal(full - np.diag(np.diag(full)), R - np.diag(np.diag(R)))
-    np.testing.assert_array_equal(comparison.of(VALUES), VALUES)
+    np.testing.assert_array_equal(comparison.of(READ), READ)
 
 
 def test_logarithms_take_what_is_below_zero_for_nothing():
     comparison = Comparison(logarithm=True, floor=0.01)
-    np.testing.assert_allclose(comparison.of(VALUES), np.log([0.51, 0.01, 0.01]), rtol=1e-14)
-    sd = np.sqrt(comparison.covariance(VALUES, np.diag(R)))
+    np.testing.assert_allclose(comparison.of(READ), np.log([0.51, 0.01, 0.01]), rtol=1e-14)
+    sd = np.sqrt(comparison.covariance(READ, np.diag(R)))
     np.testing.assert_allclose(sd, np.log1p(np.array([0.02 / 0.51, 0.01 / 0.01, 0.03 / 0.01])), rtol=1e-14)
-    full = comparison.covariance(VALUES, R)
+    full = comparison.covariance(READ, R)
     np.testing.assert_allclose(np.sqrt(np.diag(full)), sd, rtol=1e-14)
     np.testing.assert_allclose(full[0, 1] / (sd[0] * sd[1]), R[0, 1] / np.sqrt(R[0, 0] * R[1, 1]), rtol=1e-14)
-    small = comparison.covariance(VALUES, 1e-12 * R)  # errors so small that the logarithm is straight
+    small = comparison.covariance(READ, 1e-12 * R)  # errors so small that the logarithm is straight
     np.testing.assert_allclose(np.sqrt(np.diag(small)), np.sqrt(1e-12 * np.diag(R)) / [0.51, 0.01, 0.01], rtol=1e-5)
 
 
