@@ -66,7 +66,8 @@ class Mover(Model):
 
     def step_with_memory(self, members: Array, memory: Memory | None, t: float, rng: MemberStreams) -> Step:
         """Return the members a second later."""
-        moved = members if self.matrix is None else members @ self.matrix.T
+        # A matrix product rounds otherwise for one member than for several: bits would depend on who steps them.
+        moved = members if self.matrix is None else (members[:, np.newaxis] * self.matrix).sum(axis=2)
         if self.error_sd > 0.0:
             moved = moved + self.error_sd * rng.standard_normal(moved.shape)
         if memory is None:

@@ -29,6 +29,7 @@ def dafw_plugins() -> list[PluginSpec]:
         PluginSpec("filter", "kalman", f"{_HERE}.filters.kalman:Kalman", "exact, for linear problems and N > n"),
         PluginSpec("filter", "none", f"{_HERE}.filters.none:NoFilter", "the forecast is the analysis"),
         PluginSpec("filter", "amis", f"{_HERE}.filters.amis:AMIS", "adaptive multiple importance sampling, re-runs"),
+        PluginSpec("filter", "smc", f"{_HERE}.filters.smc:SMC", "tempered sequential Monte Carlo, re-runs"),
         PluginSpec("filter", "enks", f"{_HERE}.filters.enks:EnKS", "ensemble Kalman smoother, fixed lag or interval"),
         PluginSpec(
             "filter", "esmda", f"{_HERE}.filters.esmda:ESMDA", "ES-MDA: small stochastic updates, re-runs between"

@@ -37,12 +37,13 @@ from dafw.core.window import Window
 from dafw.plugins.filters.candidates import (
     Candidates,
     effective_size,
-    evaluated,
     first_candidates,
     log_prior_of,
     normalized,
+    readings_before,
     rows,
     tempered,
+    tried,
     without_repeats,
 )
 from dafw.plugins.filters.controls import Controls
@@ -118,7 +119,8 @@ class AMIS(Filter):
         indices, chance = without_repeats(weights, self.archive * size, rng.random())
         kept = samples.taken(indices)
         kept = replace(kept, log_kept=kept.log_kept + np.log(chance))
-        memory = {**kept.to_memory(), **kernels.to_memory(), "done": np.array(number + 1), "offset": np.array(offset)}
+        done = {"done": np.array(number + 1), "seen": np.array(readings_before(window, number + 1))}
+        memory = {**kept.to_memory(), **kernels.to_memory(), **done, "offset": np.array(offset)}
         diagnostics = self._diagnostics(samples, weights, batches * size)
         return Analysis(members, memory, diagnostics, shares, model_memory=belief.memory)
 
@@ -128,7 +130,7 @@ class AMIS(Filter):
             first = first_candidates(window, controls, self.likelihood)
             return replace(first, log_proposal=first.log_prior + np.log(len(first))), Kernels.none(len(controls))
         samples = Candidates.from_memory(window.memory, controls.space)
-        samples = samples.carried_on(window, int(window.memory["done"]), self.likelihood)
+        samples = samples.carried_on(window, window.memory, self.likelihood)
         return samples, Kernels.from_memory(window.memory, controls)
 
     def _batch(
@@ -141,7 +143,7 @@ class AMIS(Filter):
         rng: np.random.Generator,
         best: float,
     ) -> Candidates | None:
-        """Draw a batch and run those samples that are not hopeless; None if all are."""
+        """Draw a batch and run those samples that are not hopeless; None if all are, or if the model can run none."""
         cycle, batch = number
         fresh = window.rerun.first_guess(size, f"fresh samples {batch}", cycle).members
         is_fresh = rng.random((size, 1)) < self.fresh
@@ -150,9 +152,8 @@ class AMIS(Filter):
         coordinates = controls.coordinates(starts)
         log_prior = log_prior_of(window, controls, starts, coordinates)
         kept = log_prior > best - HOPELESS
-        if not kept.any():
-            return None
-        return evaluated(window, starts[kept], coordinates[kept], log_prior[kept], self.likelihood)
+        found = tried(window, starts[kept], coordinates[kept], log_prior[kept], self.likelihood)
+        return None if found is None else found[0]
 
     def _log_density(self, kernels: Array, log_prior: Array) -> Array:
         """Return log q_b from the log density of the kernels and of the prior; both (..., P)."""

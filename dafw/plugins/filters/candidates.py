@@ -75,19 +75,26 @@ class Candidates:
         arrays = {one.name: np.asarray(memory[one.name]) for one in fields(cls) if one.name != "now"}
         return cls(**arrays, now=now)
 
-    def carried_on(self, window: Window, since: int, likelihood: Likelihood) -> Candidates:
-        """Return the candidates stepped from cycle ``since`` to the end of the present one, with all readings seen.
+    def carried_on(self, window: Window, memory: Memory, likelihood: Likelihood) -> Candidates:
+        """Return the candidates stepped to the end of the present cycle, with all readings seen.
 
-        Candidates whose run fails are left out. A late reading belongs to a cycle that they have passed: then they are
-        run again from the start.
+        ``memory`` has the number of cycles that they have passed, ``done``, and how many readings these had, ``seen``.
+        Candidates whose run fails are left out. If these cycles have more readings by now, which came late, the
+        candidates are run again from the start.
         """
-        if any(number < since for number, _ in window.late):
+        since = int(memory["done"])
+        if readings_before(window, since) != int(memory["seen"]):
             start = window.first.ensemble.with_members(self.starts)
             now, fit, kept = _run(window, start, window.cycles[0].number, likelihood)
             return replace(self.taken(kept), fit=fit, now=now)
         now, fit, kept = _run(window, self.now, since, likelihood)
         rest = self.taken(kept)
         return replace(rest, fit=rest.fit + fit, now=now)
+
+
+def readings_before(window: Window, number: int) -> int:
+    """Return how many readings the cycles of the window before cycle ``number`` have."""
+    return sum(cycle.observation.values.size for cycle in window.cycles if cycle.number < number)
 
 
 def rows(forecast: Forecast, indices: IntArray) -> Forecast:
@@ -102,7 +109,7 @@ def first_candidates(window: Window, controls: Controls, likelihood: Likelihood)
     starts = window.first.ensemble.members
     coordinates = controls.coordinates(starts)
     log_prior = log_prior_of(window, controls, starts, coordinates)
-    return evaluated(window, starts, coordinates, log_prior, likelihood, window.first.memory)
+    return evaluated(window, starts, coordinates, log_prior, likelihood, window.first.memory)[0]
 
 
 def log_prior_of(window: Window, controls: Controls, starts: Array, coordinates: Array) -> Array:
@@ -117,16 +124,31 @@ def evaluated(
     log_prior: Array,
     likelihood: Likelihood,
     memory: Memory | None = None,
-) -> Candidates:
+) -> tuple[Candidates, IntArray]:
     """Run candidates from the start of the window and weigh all readings so far; those whose run fails are left out.
 
-    ``memory`` is the model's, if it is known; by default the model makes a new one.
+    Return the rest and their indices. ``memory`` is the model's, if it is known; by default the model makes a new one.
+    If none is left, raises the model's SolverError or DivergenceError.
     """
     ensemble = window.first.ensemble.with_members(starts)
     start = ensemble if memory is None else Forecast(ensemble, memory)
     now, fit, kept = _run(window, start, window.cycles[0].number, likelihood)
     zeros = np.zeros(len(kept))
-    return Candidates(starts[kept], coordinates[kept], log_prior[kept], zeros, zeros, fit, now)
+    return Candidates(starts[kept], coordinates[kept], log_prior[kept], zeros, zeros, fit, now), kept
+
+
+def tried(
+    window: Window, starts: Array, coordinates: Array, log_prior: Array, likelihood: Likelihood
+) -> tuple[Candidates, IntArray] | None:
+    """Return what ``evaluated`` returns; None if the model can run none of the candidates, or there are none."""
+    if not len(starts):
+        return None
+    try:
+        return evaluated(window, starts, coordinates, log_prior, likelihood)
+    except (SolverError, DivergenceError) as error:
+        if error.member is None:
+            raise
+        return None  # each of them failed for itself; the candidates so far are not concerned
 
 
 def _run(
