@@ -61,13 +61,13 @@ EQUAL = 0.9
 class AMIS(Filter):
     """Weights samples of the unknown parameters, each with a run of the model since the start, and proposes better."""
 
+    window = None  # all readings since the start: the samples are of the first guess
     accuracy = "statistical"
     past_beliefs = "first"
     inflation_option = None
 
     estimate: list[str] = option([], "names of the control variables; none: all single numbers of the state")
     likelihood: Likelihood = option(Likelihood, "how likely a reading is")
-    window: int | None = option(None, "cycles to look back; null: to the start", minimum=1)
     every: int = option(1, "cycles from one analysis to the next", minimum=1)
     steps: int = option(
         2000, "steps of the model, summed over samples, that re-runs in one analysis may take", minimum=0
