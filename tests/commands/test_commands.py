@@ -75,7 +75,7 @@ def test_ranges_are_shown(capsys):
 
 def test_help_answers_without_loading_anything_heavy():
     code = "import sys, dafw.commands; dafw.commands.main(['--help']); dafw.commands.main(['plugins']); "
-    code += "print(sorted({'dolfinx', 'gmsh', 'matplotlib', 'xarray', 'scipy', 'shapely'} & set(sys.modules)))"
+    code += "print(sorted({'dolfinx', 'gmsh', 'numba', 'matplotlib', 'xarray', 'scipy', 'shapely'} & set(sys.modules)))"
     shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert "usage: dafw" in shown and shown.strip().endswith("[]")
 
@@ -88,4 +88,6 @@ def test_asking_for_a_list_imports_nothing_heavy(words, foreign):
     program = f"import sys; from dafw.commands import main; main({words}); print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     loaded = {name.partition(".")[0] for name in done.stdout.splitlines()[-1].split()}
-    assert loaded & {*foreign, "dolfinx", "dolfinx_solver", "gmsh", "matplotlib", "shapely", "petsc4py"} == set()
+    assert (
+        loaded & {*foreign, "dolfinx", "dolfinx_solver", "gmsh", "numba", "matplotlib", "shapely", "petsc4py"} == set()
+    )

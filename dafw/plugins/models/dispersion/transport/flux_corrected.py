@@ -11,7 +11,7 @@ fluxes are computed once, from a solution of high order that is already known::
 1. Galerkin's step from c to g, and one of low order, which is never below zero but too wide:
    m_i (u_i - c_i) / dt + sum_j l_ij u_j = m_i f_i.
 2. m_i (g_i - u_i) / dt is a sum of fluxes f_ij = -f_ji from the nodes j to i, with v = g - c - dt f and e = g - u:
-   f_ij = m_ij (v_i - v_j) / dt + d_ij (g_i - g_j) - (l_ij e_j - l_ji e_i), and of the flux -o_i e_i from outside.
+   f_ij = m_ij (v_i - v_j) / dt + d_ij (u_i - u_j) + a_ji e_i - a_ij e_j, and of the flux -o_i e_i from outside.
 3. They are limited (limiter.py): no node leaves the range that u and c + dt f have in it and in its neighbours.
 4. m_i (c'_i - u_i) / dt is the sum of the limited fluxes.
 
@@ -27,7 +27,7 @@ import numpy as np
 
 from dafw.plugins.models.dispersion.fem.sparse_lu import SparseLU
 from dafw.plugins.models.dispersion.transport.direct import DirectSystem
-from dafw.plugins.models.dispersion.transport.limiter import limited
+from dafw.plugins.models.dispersion.transport.limiter import corrected
 from dafw.plugins.models.dispersion.transport.matrices import TransportMatrices
 from dafw.plugins.models.dispersion.transport.system import TransportSystem
 
@@ -45,32 +45,35 @@ class FluxCorrectedSystem:
         self._matrices, self._galerkin = matrices, galerkin
         mass = matrices.before.data * matrices.dt
         self._mass: np.ndarray = np.add.reduceat(mass, matrices.row_starts)
-        self._mass_between = mass[matrices.edges.there]
+        self._free = np.ones(matrices.nodes, dtype=bool)
+        self._free[matrices.fixed] = False
         self._low_order = SparseLU(matrices.elimination)
         self._solve_low = self._low_order.solve
-        self._there = self._back = self._diffusion = self._leaving = self._taken = np.zeros(0)
+        # The entries of every edge and the numbers of every node that the limiter reads, in its order.
+        self._entries = np.tile(mass[matrices.edges.there], (3, 1))
+        self._nodal = np.tile(self._mass, (3, 1))
 
     def change(self, added: np.ndarray, before: Any) -> None:
         """Set the system to that of another wind; the arguments are those of ``TransportSystem.change``."""
         self._galerkin.change(added, before)
-        matrices, edges = self._matrices, self._matrices.edges
+        matrices, edges, free = self._matrices, self._matrices.edges, self._free
         operator = added + (matrices.calm - matrices.before.data)
         there, back = operator[edges.there], operator[edges.back]
-        self._diffusion = np.maximum(np.maximum(there, back), 0.0)
-        self._there, self._back = there, back = there - self._diffusion, back - self._diffusion
-        self._leaving = np.zeros(matrices.nodes)
+        self._entries[1:] = matrices.dt * there, matrices.dt * back
+        diffusion = np.maximum(np.maximum(there, back), 0.0)
+        there, back = there - diffusion, back - diffusion
+        leaving = np.zeros(matrices.nodes)
         if matrices.options.outflow == "open":
-            self._leaving[matrices.outer] = np.maximum(matrices.outward(added), 0.0)
+            leaving[matrices.outer] = np.maximum(matrices.outward(added), 0.0)
         values = np.zeros(operator.size)
         values[edges.there], values[edges.back] = there, back
-        values[matrices.diagonal] = self._mass / matrices.dt + self._leaving - edges.sums(back, there)
+        values[matrices.diagonal] = self._mass / matrices.dt + leaving - edges.sums(back, there)
         values[matrices.fixed_entries] = 0.0
         values[matrices.fixed_diagonal] = 1.0
         self._low_order.factorise(values)
         # Nodes where the concentration is zero take what their neighbours lose to them.
-        fixed = np.zeros(matrices.nodes, dtype=bool)
-        fixed[matrices.fixed] = True
-        self._taken = self._leaving - edges.sums(back * fixed[edges.second], there * fixed[edges.first])
+        taken = -edges.sums(np.where(free[edges.second], 0.0, back), np.where(free[edges.first], 0.0, there))
+        self._nodal[1:] = matrices.dt * leaving, matrices.dt * taken
 
     def step(self, concentration: np.ndarray, source: np.ndarray | None = None) -> np.ndarray:
         """Return the concentration (nodes,) one time step later; arguments and errors are as for ``balanced_step``."""
@@ -92,40 +95,9 @@ class FluxCorrectedSystem:
 
         Raises SolverError if Galerkin's step cannot be solved, and ContractError if an array has another shape.
         """
-        matrices, edges, mass = self._matrices, self._matrices.edges, self._mass
+        matrices, edges = self._matrices, self._matrices.edges
         high = self._galerkin.step(concentration, source)
-        supplied = concentration if source is None else concentration + matrices.dt * source
-        given = mass * supplied / matrices.dt
-        given[matrices.fixed] = 0.0
-        low = self._solve_low(given)
-        lowest, highest = edges.range(low, supplied)
-        flux, outside = limited(
-            edges,
-            self._fluxes(high, low, supplied),
-            matrices.dt * self._leaving * (low - high),
-            mass * (lowest - low),
-            mass * (highest - low),
-            matrices.fixed,
-        )
-        received = edges.sums(flux, -flux)
-        gone = matrices.dt * (self._taken @ low) - outside.sum() + (mass * supplied + received)[matrices.fixed].sum()
-        received[matrices.fixed] = 0.0
-        # The limiter keeps the result in this range; the last bit of its sums may not.
-        return np.clip(low + (received + outside) / mass, lowest, highest), float(gone)
-
-    def _fluxes(self, high: np.ndarray, low: np.ndarray, supplied: np.ndarray) -> np.ndarray:
-        """Return the fluxes (e,) times the time step from the second node of every edge to the first.
-
-        Args:
-            high: (nodes,) Galerkin's concentration at the end of the step.
-            low: (nodes,) that of low order.
-            supplied: (nodes,) that at the start, with what the source adds in the step.
-        """
-        first, second = self._matrices.edges.first, self._matrices.edges.second
-        change, excess = high - supplied, high - low
-        spread = self._diffusion * (high[first] - high[second])
-        carried = self._there * excess[second] - self._back * excess[first]
-        flux: np.ndarray = self._mass_between * (change[first] - change[second]) + self._matrices.dt * (
-            spread - carried
-        )
-        return flux
+        # A copy, because for an array that is read-only or has gaps numba would compile the limiter again.
+        supplied = concentration.copy() if source is None else concentration + matrices.dt * source
+        low = self._solve_low(np.where(self._free, self._mass / matrices.dt * supplied, 0.0))
+        return corrected(edges.starts, edges.ends, self._entries, self._nodal, self._free, high, low, supplied)

@@ -11,7 +11,8 @@ from flow_meshes import rectangle
 
 from dafw.core.errors import ConfigurationError, ContractError, SolverError
 from dafw.plugins.models.dispersion.fem.sparse_lu import SparseLU
-from dafw.plugins.models.dispersion.transport.limiter import limited
+from dafw.plugins.models.dispersion.transport.limiter import corrected as limited_step
+from dafw.plugins.models.dispersion.transport.limiter import fluxes
 from dafw.plugins.models.dispersion.transport.options import TransportOptions, require_one_process
 from dafw.plugins.models.dispersion.transport.transport import Transport
 from dafw.plugins.models.dispersion.wind.options import WindOptions
@@ -139,39 +140,98 @@ def test_a_travelling_cloud_converges_with_more_than_order_one_and_a_half():
     assert np.log2(coarse / fine) >= 1.5
 
 
+def parts_of_a_step(transport, wind, cloud):
+    """The solutions of high and of low order, and what else the limiter is given, without the source."""
+    system, matrices = transport.system(wind), transport.matrices
+    high = system._galerkin.step(cloud)
+    given = system._mass * cloud / matrices.dt
+    given[matrices.fixed] = 0.0
+    return high, system._solve_low(given), system._entries, system._nodal
+
+
 @RIMS
 def test_unlimited_fluxes_lead_to_the_step_of_galerkin(block, outflow):
     solver = WindSolver(block, WindOptions(viscosity=10.0, tolerance=1e-12))
     transport = corrected(block, outflow=outflow)
-    system = transport.system(solver.velocity(solver.solve(8.0, 0.3)))
-    cloud = bell(transport.matrices.places, [80.0, 52.0], 8.0)
-    high = system._galerkin.step(cloud)
-    given = system._mass * cloud / transport.matrices.dt
-    given[transport.matrices.fixed] = 0.0
-    low = system._solve_low(given)
+    edges, cloud = transport.matrices.edges, bell(transport.matrices.places, [80.0, 52.0], 8.0)
+    wind = solver.velocity(solver.solve(8.0, 0.3))
+    high, low, entries, (mass, leaving, _) = parts_of_a_step(transport, wind, cloud)
     assert np.abs(high - low).max() > 0.05
-    flux = system._fluxes(high, low, cloud)
-    received = transport.matrices.edges.sums(flux, -flux) + transport.matrices.dt * system._leaving * (low - high)
+    flux = fluxes(edges.starts, edges.ends, entries, leaving, high, low, cloud)[0]
+    received = edges.sums(flux, -flux) + leaving * (low - high)
     received[transport.matrices.fixed] = 0.0
-    np.testing.assert_allclose(low + received / system._mass, high, atol=1e-9)
+    np.testing.assert_allclose(low + received / mass, high, atol=1e-9)
+
+
+@RIMS
+def test_a_step_is_what_dense_matrices_of_fluxes_give(block, around_block, outflow):
+    """An independent evaluation of Zalesak's limiter, from the equations in the files."""
+    transport = corrected(block, outflow=outflow, diffusion=0.1)
+    matrices, cloud = transport.matrices, bell(transport.matrices.places, [20.0, 52.0], 4.0)
+    high, low, _, (mass, leaving, _) = parts_of_a_step(transport, around_block, cloud)
+    before, operator = (
+        matrices.sparsity.csr(values).toarray()
+        for values in (matrices.before.data, transport._without_inflow(transport.advection(around_block)))
+    )
+    operator += matrices.sparsity.csr(matrices.calm - matrices.before.data).toarray()
+    diffusion = np.maximum(0.0, np.maximum(operator, operator.T))
+    change, excess = high - cloud, high - low
+    np.fill_diagonal(diffusion, 0.0)
+    there = operator - diffusion
+    flux = before * np.subtract.outer(change, change) + diffusion * np.subtract.outer(high, high)
+    flux = matrices.dt * (flux - there * excess + there.T * excess[:, None])
+    np.fill_diagonal(flux, 0.0)
+    outside, near = leaving * (low - high), before != 0.0
+    lowest = np.where(near, np.minimum(low, cloud), np.inf).min(axis=1)
+    highest = np.where(near, np.maximum(low, cloud), -np.inf).max(axis=1)
+    rise = np.maximum(flux, 0.0).sum(axis=1) + np.maximum(outside, 0.0)
+    fall = np.minimum(flux, 0.0).sum(axis=1) + np.minimum(outside, 0.0)
+    up, down = mass * (highest - low), mass * (lowest - low)
+    may_rise, may_fall = np.ones((2, cloud.size))
+    np.divide(up, rise, out=may_rise, where=rise > up)
+    np.divide(down, fall, out=may_fall, where=fall < down)
+    may_rise[matrices.fixed] = may_fall[matrices.fixed] = 1.0
+    shares = np.where(flux > 0.0, np.minimum.outer(may_rise, may_fall), np.minimum.outer(may_fall, may_rise))
+    received = (shares * flux).sum(axis=1) + outside * np.where(outside > 0.0, may_rise, may_fall)
+    received[matrices.fixed] = 0.0
+    assert 0.01 < (shares[flux > 1e-3] < 1.0).mean() < 0.99
+    step = transport.system(around_block).step(cloud)
+    np.testing.assert_allclose(step, low + received / mass, rtol=0.0, atol=1e-13)
 
 
 def test_the_limiter_keeps_to_the_range_and_leaves_small_fluxes_alone(block):
-    edges = corrected(block).matrices.edges
-    n, generator = corrected(block).matrices.nodes, np.random.default_rng(0)
-    flux, outside = generator.standard_normal(edges.first.size), generator.standard_normal(n)
-    down, up, none = -generator.random(n), generator.random(n), np.zeros(0, dtype=int)
-    inside, entering = limited(edges, flux, outside, down, up, none)
-    received = edges.sums(inside, -inside) + entering
-    assert (received >= down - 1e-12).all() and (received <= up + 1e-12).all()
-    assert (np.abs(inside) <= np.abs(flux)).all() and (inside * flux >= 0.0).all() and inside.any()
-    small, entering = limited(edges, 1e-3 * flux, 1e-3 * outside, down - 0.1, up + 0.1, none)
-    np.testing.assert_array_equal(small, 1e-3 * flux)
-    np.testing.assert_array_equal(entering, 1e-3 * outside)
-    nothing, _ = limited(edges, flux, outside, np.zeros(n), np.zeros(n), none)
-    assert not nothing.any()
-    everything, _ = limited(edges, flux, outside, np.zeros(n), np.zeros(n), np.arange(n))
-    np.testing.assert_array_equal(everything, flux)
+    """Whatever the solutions and the matrix are: here they are random numbers."""
+    matrices = corrected(block).matrices
+    edges, n, generator = matrices.edges, matrices.nodes, np.random.default_rng(0)
+    entries, free = generator.standard_normal((3, edges.ends.size)), np.ones(n, dtype=bool)
+    nodal = np.stack([1.0 + generator.random(n), generator.random(n), np.zeros(n)])
+    mass, leaving, _ = nodal
+    high, low, supplied = generator.standard_normal((3, n))
+
+    def step(high, low, supplied, free=free, entries=entries):
+        return limited_step(edges.starts, edges.ends, entries, nodal, free, high, low, supplied)
+
+    after, gone = step(high, low, supplied)
+    near = matrices.sparsity.csr(np.ones(matrices.sparsity.indices.size)).toarray() > 0.0
+    assert (after >= np.where(near, np.minimum(low, supplied), np.inf).min(axis=1)).all()
+    assert (after <= np.where(near, np.maximum(low, supplied), -np.inf).max(axis=1)).all()
+    # The limited fluxes alone keep to the range: the account would not be right if values were cut off afterwards.
+    assert mass @ after + gone == pytest.approx(mass @ low + leaving @ low, rel=1e-12)
+    assert np.abs(after - low).max() > 0.1
+    wide, gentle = np.where(generator.random(n) < 0.5, -1e6, 1e6), entries * np.array([[0.0], [1.0], [1.0]])
+    flux = fluxes(edges.starts, edges.ends, gentle, leaving, high, low, wide)[0]
+    received = edges.sums(flux, -flux) + leaving * (low - high)
+    surrounded = (near @ (wide > 0.0)) & (near @ (wide < 0.0))  # their range is wide enough for all fluxes
+    among = near @ ~surrounded == 0
+    assert among.sum() > 100
+    np.testing.assert_allclose(
+        step(high, low, wide, entries=gentle)[0][among], (low + received / mass)[among], rtol=1e-12
+    )
+    even = np.full(n, 0.7)
+    after, _ = step(high, even, even)
+    np.testing.assert_array_equal(after, even)
+    after, _ = step(high, low, supplied, np.zeros(n, dtype=bool))
+    np.testing.assert_array_equal(after, low)
 
 
 def test_edges_are_the_pairs_of_neighbours(block):
@@ -180,11 +240,8 @@ def test_edges_are_the_pairs_of_neighbours(block):
     assert 2 * edges.first.size == indices.size - matrices.nodes
     np.testing.assert_array_equal([rows[edges.there], indices[edges.there]], [edges.first, edges.second])
     np.testing.assert_array_equal([rows[edges.back], indices[edges.back]], [edges.second, edges.first])
-    values = np.random.default_rng(0).random(matrices.nodes)
-    lowest, highest = edges.range(values, values + 1.0)
-    node = 17
-    around = values[indices[rows == node]]
-    assert (lowest[node], highest[node]) == (around.min(), around.max() + 1.0)
+    np.testing.assert_array_equal(edges.ends, edges.second)
+    np.testing.assert_array_equal(np.repeat(np.arange(matrices.nodes), np.diff(edges.starts.astype(int))), edges.first)
 
 
 def test_the_diffusion_can_be_that_of_a_member(block, around_block):
