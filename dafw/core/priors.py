@@ -8,7 +8,8 @@ name           parameters                                      density
 ``uniform``    low, high                                       the same everywhere between
 ``lognormal``  mean, sd                                        the logarithm is Gaussian about log(mean) with the
                                                                standard deviation sd: mean is the median
-``weibull``    mean, sd                                        Weibull with this mean and standard deviation
+``weibull``    mean, sd; high, if wished                       Weibull with this mean and standard deviation, without
+                                                               what is above high
 ``angle``      mean, sd (radians)                              Gaussian, wrapped to [0, 2 pi)
 =============  ==============================================  =================================================
 
@@ -35,6 +36,7 @@ PARAMETERS = {
     "weibull": ("mean", "sd"),
     "angle": ("mean", "sd"),
 }
+OPTIONAL = {"weibull": ("high",)}
 WRAPS = np.arange(-3, 4)
 """Number of turns on each side that are summed for the density of a wrapped normal distribution."""
 
@@ -50,7 +52,7 @@ class Prior:
         if self.name not in PARAMETERS:
             raise ConfigurationError(f"there is no prior '{self.name}' (there are: {', '.join(PARAMETERS)})")
         wanted = PARAMETERS[self.name]
-        if set(self.parameters) != set(wanted):
+        if not set(wanted) <= set(self.parameters) <= {*wanted, *OPTIONAL.get(self.name, ())}:
             raise ConfigurationError(
                 f"prior '{self.name}' takes {' and '.join(wanted)}, got {', '.join(self.parameters) or 'nothing'}"
             )
@@ -61,6 +63,8 @@ class Prior:
             raise ConfigurationError(f"prior 'uniform': low must be below high, got {self['low']} and {self['high']}")
         if "sd" in wanted and not self["sd"] > 0.0:
             raise ConfigurationError(f"prior '{self.name}': sd must be above 0, got {self['sd']}; 'point' has none")
+        if self.name == "weibull" and not self.parameters.get("high", 1.0) > 0.0:
+            raise ConfigurationError(f"prior 'weibull': high must be above 0, got {self['high']}")
         if self.name in ("lognormal", "weibull") and not self["mean"] > 0.0:
             raise ConfigurationError(f"prior '{self.name}': mean must be above 0, got {self['mean']}")
 
@@ -80,6 +84,12 @@ class Prior:
     def _weibull(self) -> tuple[float, float]:
         return weibull_parameters(self["mean"], self["sd"])
 
+    @cached_property
+    def _share_below(self) -> float:
+        """The probability that a Weibull number is at most ``high``; 1 without it."""
+        shape, scale = self._weibull
+        return float(-np.expm1(-((self.parameters.get("high", np.inf) / scale) ** shape)))
+
     def draw(self, generator: np.random.Generator) -> float:
         """Return one number."""
         match self.name:
@@ -93,7 +103,9 @@ class Prior:
                 return self["mean"] * float(np.exp(self["sd"] * generator.standard_normal()))
             case "weibull":
                 shape, scale = self._weibull
-                return float(scale * generator.weibull(shape))
+                if "high" not in self.parameters:
+                    return float(scale * generator.weibull(shape))
+                return float(scale * (-np.log1p(-self._share_below * generator.random())) ** (1.0 / shape))
             case _:
                 reduced = float(np.mod(self["mean"] + self["sd"] * generator.standard_normal(), TWO_PI))
                 return 0.0 if reduced >= TWO_PI else reduced
@@ -117,7 +129,8 @@ class Prior:
                 shape, scale = self._weibull
                 safe = np.where(x > 0.0, x, 1.0) / scale
                 density = np.log(shape / scale) + (shape - 1.0) * np.log(safe) - safe**shape
-                return np.where(x > 0.0, density, -np.inf)
+                inside = (x > 0.0) & (x <= self.parameters.get("high", np.inf))
+                return np.where(inside, density - np.log(self._share_below), -np.inf)
             case _:
                 turned = x[..., np.newaxis] + TWO_PI * WRAPS
                 return np.asarray(np.logaddexp.reduce(_log_normal(turned, self["mean"], self["sd"]), axis=-1))

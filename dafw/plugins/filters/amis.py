@@ -72,7 +72,7 @@ class AMIS(Filter):
     steps: int = option(
         2000, "steps of the model, summed over samples, that re-runs in one analysis may take", minimum=0
     )
-    enough: float = option(3.0, "effective sample size, per member, from which no sample is added", above=0.0)
+    enough: float = option(2.0, "effective sample size, per member, from which no sample is added", above=0.0)
     fresh: float = option(0.2, "share of new samples that are drawn from the first guess", minimum=0.0, maximum=1.0)
     archive: int = option(10, "samples kept from one analysis to the next, per member", minimum=1)
 

@@ -61,6 +61,9 @@ class AdvectionDiffusion(Model):
     source: SourceOptions = option(SourceOptions, "the kind and amount of the release, and more sources")
     wind_speed: float = option(5.0, "first guess of the wind speed: mean, m/s", minimum=0.0)
     wind_speed_sd: float = option(0.0, "first guess of the wind speed: standard deviation, m/s (Weibull)", minimum=0.0)
+    wind_speed_max: float | None = option(
+        None, "strongest wind that the first guess can draw, m/s; null: any of the Weibull distribution", above=0.0
+    )
     wind_direction: float = option(np.pi, "first guess of the wind direction: mean, radians, towards which it blows")
     wind_direction_sd: float = option(
         0.0, "first guess of the wind direction: standard deviation, radians", minimum=0.0

@@ -36,6 +36,7 @@ class Guess(Protocol):
 
     wind_speed: float
     wind_speed_sd: float
+    wind_speed_max: float | None
     wind_direction: float
     wind_direction_sd: float
     wind_change: WindChangeOptions
@@ -99,8 +100,14 @@ def unknowns(guess: Guess) -> list[Unknown]:
     if "diffusion" in guess.estimate and guess.transport.scheme == "supg":
         raise ConfigurationError("estimate: the scheme 'supg' is made for one diffusion; choose another scheme")
     direction, change = guess.wind_direction, WindChange(guess.wind_change)
+    speed, most = _about("weibull", mean, sd), guess.wind_speed_max
+    if most is not None:
+        if most <= mean:
+            raise ConfigurationError(f"wind_speed_max must be above wind_speed, {mean:g} m/s, got {most:g}")
+        if sd > 0.0:
+            speed = Prior("weibull", {"mean": mean, "sd": sd, "high": most})
     found = [
-        Unknown("wind_speed", NONNEGATIVE, "m s-1", mean, _about("weibull", mean, sd), strongest_wind(mean, sd)),
+        Unknown("wind_speed", NONNEGATIVE, "m s-1", mean, speed, strongest_wind(mean, sd)),
         Unknown("wind_direction", ANGLE, "rad", direction, _about("angle", direction, guess.wind_direction_sd)),
     ]
     for name, (kind, units, value, prior) in others.items():
