@@ -70,7 +70,7 @@ class AMIS(Filter):
     likelihood: Likelihood = option(Likelihood, "how likely a reading is")
     every: int = option(1, "cycles from one analysis to the next", minimum=1)
     steps: int = option(
-        2000, "steps of the model, summed over samples, that re-runs in one analysis may take", minimum=0
+        1000, "steps of the model, summed over samples, that re-runs in one analysis may take", minimum=0
     )
     enough: float = option(2.0, "effective sample size, per member, from which no sample is added", above=0.0)
     fresh: float = option(0.2, "share of new samples that are drawn from the first guess", minimum=0.0, maximum=1.0)
