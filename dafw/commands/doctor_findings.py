@@ -33,6 +33,7 @@ PACKAGES = {
     "hydra": "hydra-core",
     "matplotlib": "matplotlib",
     "netCDF4": "netcdf4",
+    "numba": "numba",
     "numpy": "numpy",
     "platformdirs": "platformdirs",
     "psutil": "psutil",

@@ -13,6 +13,8 @@ from dafw.core.composition import advised, compose, single_runs, study_part
 from dafw.core.experiment import merged, options_from, study_from
 from dafw.core.registry import Registered, registry
 
+LITERAL = "experiment=enie2d_literal"
+
 
 def study(*overrides):
     composed = study_part(compose(overrides))
@@ -23,7 +25,8 @@ def study(*overrides):
 def test_the_default_is_the_flagship():
     default = study()
     assert (default.model["name"], default.observer["name"]) == ("ad_ins", "drone")
-    assert (default.policy["name"], default.filter["name"]) == ("enie2d", "etkf")
+    assert (default.policy["name"], default.filter["name"]) == ("look_ahead", "amis")
+    assert default.model["transport"]["scheme"] == "fct"
 
 
 def test_the_papers_study_holds_the_papers_values():
@@ -49,19 +52,19 @@ def test_one_word_changes_the_filter():
     ("overrides", "message"),
     [
         (
-            ["filter.inflatoin=2"],
+            [LITERAL, "filter.inflatoin=2"],
             "^filter 'etkf': unknown option 'inflatoin', did you mean 'inflation'. .accepted: inflation, rotation.$",
         ),
         (["policy=stationary", "policy.sectors=3"], "^policy 'stationary': unknown option 'sectors' .accepted: none.$"),
-        (["policy.sector=3"], "^policy 'enie2d': unknown option 'sector', did you mean 'sectors'"),
+        ([LITERAL, "policy.sector=3"], "^policy 'enie2d': unknown option 'sector', did you mean 'sectors'"),
         (["model.wall_size=3"], "^model 'ad_ins': unknown option 'wall_size', did you mean 'mesh.wall_size'"),
         (["model.mesh.wal_size=3"], "^model 'ad_ins', mesh: unknown option 'wal_size', did you mean 'wall_size'"),
         (["executor=processes", "executor.worker=3"], "^executor 'processes': unknown option 'worker', did you mean"),
         (["vehicle.sped=3"], "^study, vehicle: unknown option 'sped', did you mean 'speed'"),
-        (["+filter.foo=1"], "filter 'etkf': unknown option 'foo' .accepted: inflation"),
+        ([LITERAL, "+filter.foo=1"], "filter 'etkf': unknown option 'foo' .accepted: inflation"),
         (["filter=etfk"], "no filter 'etfk' .did you mean 'etkf'"),
-        (["filter.inflation=abc"], "'filter.inflation'.*'abc'"),
-        (["filter.inflation=0.5"], "at least 1.0, got 0.5"),
+        ([LITERAL, "filter.inflation=abc"], "'filter.inflation'.*'abc'"),
+        ([LITERAL, "filter.inflation=0.5"], "at least 1.0, got 0.5"),
         (["cyclse=3"], "^study: unknown option 'cyclse', did you mean 'cycles'. .accepted: name, seed, members"),
         (["cycles=0"], "'cycles' must be at least 1"),
         (["seed=-1"], "'seed' must be at least 0"),
@@ -80,7 +83,7 @@ def test_one_word_changes_the_filter():
         (["model.wind.basis.directions=1"], "'directions' must be at least 4, got 1"),
         (["model.wind.basis.tolerance=5"], "'tolerance' must be at most 1.0, got 5.0"),
         (["vehicle.start=[[1,2,3]]"], "vehicle.start must be"),
-        (["policy.theta=abc"], "theta must be a number"),
+        ([LITERAL, "policy.theta=abc"], "theta must be a number"),
         (["observer=composite"], "^observer 'composite': option 'parts' must be given$"),
         (["observer=composite", "observer.parts={}"], "^observer 'composite': option 'parts' must be given$"),
         (["model.release=[1]"], "one place"),
@@ -92,7 +95,10 @@ def test_one_word_changes_the_filter():
         (["name="], "names a folder"),
         (["model.wind_speed=0"], "wind_speed_sd must be 0 or between"),
         (["truth.name=adx"], "there is no model 'adx' .did you mean 'ad'"),
-        (["+filter.model=${model}"], "^filter 'etkf': unknown option 'model' .accepted: inflation, rotation.$"),
+        (
+            [LITERAL, "+filter.model=${model}"],
+            "^filter 'etkf': unknown option 'model' .accepted: inflation, rotation.$",
+        ),
     ],
 )
 def test_a_wrong_request_is_refused_in_one_line(overrides, message):
@@ -150,7 +156,7 @@ def test_any_option_of_the_truths_model_is_accepted_without_a_plus():
 @pytest.mark.parametrize("plus", ["", "+", "++"])
 def test_a_plus_may_stand_before_what_is_there(plus):
     assert study(f"{plus}truth.wind_speed=6").truth["wind_speed"] == 6
-    assert study(f"{plus}policy.theta=0.3").policy["theta"] == 0.3
+    assert study(LITERAL, f"{plus}policy.theta=0.3").policy["theta"] == 0.3
 
 
 @pytest.mark.parametrize("plus", ["", "+"])
@@ -192,10 +198,10 @@ def test_what_is_added_on_the_command_line_is_meant_for_the_plugin_there(files, 
 
 
 def test_a_mistake_in_an_experiment_is_one_line_that_names_the_file(files):
-    where = files(wrong="policy: {sektors: 3}\n", stacked="defaults: [enie2d, _self_]\npolicy: {sektors: 3}\n")
+    where = files(wrong="policy: {sektors: 3}\n", stacked="defaults: [enie2d_literal, _self_]\npolicy: {sektors: 3}\n")
     for name in ("wrong", "stacked"):
         with pytest.raises(
-            OptionError, match=f"^experiment/{name}: policy 'enie2d': unknown option 'sektors', did you"
+            OptionError, match=f"^experiment/{name}: policy '(look_ahead|enie2d)': unknown option 'sektors'"
         ):
             study(where, f"experiment={name}")
 
@@ -241,7 +247,7 @@ def test_a_plugin_with_impossible_options_does_not_stop_other_studies(monkeypatc
     spec = PluginSpec("filter", "theirs", f"{__name__}:{target}")
     monkeypatch.setitem(registry()._plugins, ("filter", "theirs"), Registered(spec, "tests"))
     monkeypatch.setattr(ConfigStore.instance(), "repo", copy.deepcopy(ConfigStore.instance().repo))
-    assert study().filter["name"] == "etkf"
+    assert study().filter["name"] == "amis"
     with pytest.raises(DafwError, match=message):
         study("filter=theirs")
 
@@ -292,7 +298,7 @@ def test_a_file_from_elsewhere_cannot_have_code_run(tmp_path, content):
 
 
 def test_whole_numbers_pass_for_real_ones():
-    placed = study("vehicle.start=[[1,2]]", "model.release=[3,4]", "section=[[0,0],[1,1]]", "policy.theta=1")
+    placed = study("vehicle.start=[[1,2]]", "model.release=[3,4]", "section=[[0,0],[1,1]]", LITERAL, "policy.theta=1")
     assert placed.vehicle.start == [[1.0, 2.0]] and placed.model["release"] == [3.0, 4.0]
 
 
