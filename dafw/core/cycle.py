@@ -117,24 +117,26 @@ class Cycle:
         return self.readings.now
 
 
-@dataclass
 class _Clock:
-    """Times the phases of a cycle and adds the phase to errors raised in it."""
+    """Times the phases of a cycle, which follow one another, and adds the phase to an error raised in it."""
 
-    time: float
-    seconds: dict[str, float] = field(default_factory=dict)
-
-    def phase(self, name: str, plugin: Plugin) -> Self:
-        """Begin a phase: ``with clock.phase(...):``, one after the other."""
+    def __init__(self, time: float, name: str, plugin: Plugin) -> None:
+        self.time = time
+        self.seconds: dict[str, float] = {}
         self._name, self._plugin, self._begun = name, plugin, perf_counter()
-        return self
 
-    def __enter__(self) -> None:
-        return None
+    def phase(self, name: str, plugin: Plugin) -> None:
+        """End the present phase and begin the next, in which ``plugin`` works."""
+        now = perf_counter()
+        self.seconds[self._name] = self.seconds.get(self._name, 0.0) + now - self._begun
+        self._name, self._plugin, self._begun = name, plugin, now
+
+    def __enter__(self) -> Self:
+        return self
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         if error is None:
-            self.seconds[self._name] = self.seconds.get(self._name, 0.0) + perf_counter() - self._begun
+            self.phase(self._name, self._plugin)  # ends the last one
             return
         place = f"at t = {self.time:g} s, phase '{self._name}'"
         if isinstance(error, DafwError):
@@ -148,20 +150,21 @@ class _Clock:
 def start(parts: Parts, n_members: int, vehicle: Vehicle) -> State:
     """Draw the truth, the first belief and the start of the free run."""
     parts.filter.require_members(n_members)
-    clock, streams = _Clock(0.0), parts.streams
+    streams = parts.streams
     truth = free = None
-    if parts.truth is not None:
-        with clock.phase("initial", parts.truth):
+    with _Clock(0.0, "initial", parts.model) as clock:
+        if parts.truth is not None:
+            clock.phase("initial", parts.truth)
             truth = parts.truth.first_guess(1, streams.members("initial truth", 0))
-    with clock.phase("initial", parts.model):
+        clock.phase("initial", parts.model)
         belief = parts.model.first_guess(n_members, streams.members("initial belief", 0))
         if parts.free is not None:
             free = parts.free.first_guess(1, streams.members("initial free", 0))
-    with clock.phase("initial", parts.policy):
+        clock.phase("initial", parts.policy)
         policy_memory = parts.policy.initial_memory(vehicle)
-    with clock.phase("initial", parts.filter):
+        clock.phase("initial", parts.filter)
         filter_memory = parts.filter.initial_memory(n_members)
-    with clock.phase("initial", parts.readings):
+        clock.phase("initial", parts.readings)
         readings_memory = parts.readings.initial_memory()
     return State(0, belief, truth, free, vehicle, policy_memory, filter_memory, readings_memory)
 
@@ -171,29 +174,31 @@ def advance(parts: Parts, state: State) -> Cycle:
     streams, cycle = parts.streams, state.cycle
     belief, truth, free = state.belief, state.truth, state.free
     now = belief.ensemble.time
-    clock = _Clock(now)
 
-    with clock.phase("decide", parts.policy):
+    with _Clock(now, "decide", parts.policy) as clock:
         outlook = None
         if parts.policy.looks_ahead:
             outlook = Outlook(belief, state.vehicle, state.policy_memory, cycle, parts.rerun)
         rng = streams.generator("policy", cycle)
         route = parts.policy.route(belief.ensemble, state.vehicle, state.policy_memory, rng, outlook)
-    with clock.phase("observe", parts.observer):
+
+        clock.phase("observe", parts.observer)
         operator = parts.observer.look(parts.model.space, route, now)
-    with clock.phase("forecast", parts.model):
+
+        clock.phase("forecast", parts.model)
         errors = streams.members(MODEL_ERROR, cycle)
         stepped = parts.executor.submit(parts.model, Batch(belief.ensemble.members, belief.memory, now, errors))
-    # While the workers step the belief, this process steps the truth and the free run.
-    if parts.truth is not None and truth is not None:
-        with clock.phase("truth", parts.truth):
+        # While the workers step the belief, this process steps the truth and the free run.
+        if parts.truth is not None and truth is not None:
+            clock.phase("truth", parts.truth)
             truth = parts.truth.forecast(truth.ensemble, truth.memory, streams.members("truth error", cycle))
-    if parts.free is not None and free is not None:
-        with clock.phase("free", parts.free):
+        if parts.free is not None and free is not None:
+            clock.phase("free", parts.free)
             free = parts.free.forecast(free.ensemble, free.memory, streams.members("free error", cycle))
-    with clock.phase("forecast", parts.model):
+        clock.phase("forecast", parts.model)
         forecast = parts.model.stepped(belief.ensemble, stepped().steps[-1])
-    with clock.phase("observe", parts.readings):
+
+        clock.phase("observe", parts.readings)
         truth_seen = parts.seen(truth)
         end = forecast.ensemble.time
         told = truth_seen if parts.readings.needs_truth else None
@@ -201,9 +206,10 @@ def advance(parts: Parts, state: State) -> Cycle:
         taken = parts.readings.collect(request, state.readings_memory, streams.generator("observation noise", cycle))
         reach = [*(past.number for past in state.past), cycle] if parts.filter.window != 0 else [cycle]
         readings = sort_by_cycle(taken.observations, request, parts.model.dt, reach, parts.late_readings)
-    with clock.phase("observe", parts.observer):
+        clock.phase("observe", parts.observer)
         predicted = parts.observer.read(readings.now.operator, forecast.ensemble)
-    with clock.phase("analyse", parts.filter):
+
+        clock.phase("analyse", parts.filter)
         rng = streams.generator("filter", cycle)
         past: tuple[PastCycle, ...] = ()
         if parts.filter.window == 0:
@@ -219,9 +225,9 @@ def advance(parts: Parts, state: State) -> Cycle:
     after = State(
         cycle=cycle + 1,
         belief=Forecast(posterior, model_memory),
-        truth=Forecast(truth.ensemble, truth.memory) if truth else None,
+        truth=truth,
         free=free,
-        vehicle=state.vehicle.moved(route.ends),
+        vehicle=state.vehicle.moved(route.ends) if route.paths else state.vehicle,
         policy_memory=route.memory,
         filter_memory=analysis.memory,
         readings_memory=taken.memory,

@@ -14,13 +14,12 @@ SCORES = ("err", "err_forecast", "err_free", "rmse", "spread")
 INNOVATION = ("innovation_mean", "innovation_rms")
 
 
-def relative_error(truth: Array, difference: Array) -> float:
+def relative_error(difference: float, truth: float) -> float:
     """Return ERR = |difference|_2 / |truth|_2 in per cent; NaN where the truth vanishes or a number is missing.
 
-    Both (n,). Gioia et al. (2024), Sec. IV-B, doi:10.1109/SDF63218.2024.10773899.
+    Both are norms. Gioia et al. (2024), Sec. IV-B, doi:10.1109/SDF63218.2024.10773899.
     """
-    size = _norm(truth)
-    return _norm(difference) / size * 100.0 if size > 0.0 else float("nan")
+    return difference / truth * 100.0 if truth > 0.0 else math.nan
 
 
 def root_mean_square(values: Array) -> float:
@@ -31,7 +30,7 @@ def root_mean_square(values: Array) -> float:
 def error_of(space: StateSpace, truth: Array, estimate: Array) -> float:
     """Return ERR of the first variable of the state (per cent); both (n,). Angles are compared the short way round."""
     part = space.slice(space.variables[0].name)
-    return relative_error(truth[part], space.difference(truth, estimate)[part])
+    return relative_error(_norm(space.difference(truth, estimate)[part]), _norm(truth[part]))
 
 
 def scores(
@@ -39,16 +38,16 @@ def scores(
 ) -> dict[str, float]:
     """Return ``SCORES`` of the first variable of the state; NaN for what is missing. ``truth`` is (n,)."""
     part = space.slice(space.variables[0].name)
-    found = dict.fromkeys(SCORES, float("nan"))
+    found = dict.fromkeys(SCORES, math.nan)
     found["spread"] = root_mean_square(belief.spread[part])
     if truth is None:
         return found
-    off = space.difference(truth, belief.mean)[part]
-    found["err"], found["rmse"] = relative_error(truth[part], off), root_mean_square(off)
-    if forecast:
-        found["err_forecast"] = error_of(space, truth, forecast.mean)
-    if free:
-        found["err_free"] = error_of(space, truth, free.members[0])
+    size, off = _norm(truth[part]), _norm(space.difference(truth, belief.mean)[part])
+    found["err"], found["rmse"] = relative_error(off, size), off / math.sqrt(part.stop - part.start)
+    if forecast is not None:
+        found["err_forecast"] = relative_error(_norm(space.difference(truth, forecast.mean)[part]), size)
+    if free is not None:
+        found["err_free"] = relative_error(_norm(space.difference(truth, free.members[0])[part]), size)
     return found
 
 
@@ -60,7 +59,7 @@ def innovation_scores(observation: Observation, forecast: Ensemble, predicted: A
     belief matches its error, the mean is near 0 and the root mean square near 1.
     """
     if observation.values.size == 0:
-        return dict.fromkeys(INNOVATION, float("nan"))
+        return dict.fromkeys(INNOVATION, math.nan)
     covariance = observation.covariance
     expected = covariance if covariance.ndim == 1 else np.diag(covariance)
     off = predicted - mean
@@ -77,4 +76,5 @@ def innovation_scores(observation: Observation, forecast: Ensemble, predicted: A
 
 
 def _norm(values: Array) -> float:
-    return math.sqrt(values @ values)
+    # ``dot`` takes half the time of ``@`` for so few numbers; a row of a run file has six norms.
+    return math.sqrt(values.dot(values))

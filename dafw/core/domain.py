@@ -46,24 +46,23 @@ class Domain:
         return STRtree(self._polygons)
 
     @cached_property
-    def _boxes(self) -> tuple[Array, Array]:
-        """The lowest and the highest corners of the obstacles' bounding boxes, both (K, 2)."""
-        lowest = np.array([ring.min(axis=0) for ring in self.obstacles]).reshape(-1, 2)
-        highest = np.array([ring.max(axis=0) for ring in self.obstacles]).reshape(-1, 2)
-        return lowest, highest
+    def _boxes(self) -> Array:
+        """The bounding boxes of the obstacles, (4, K): x_min, y_min, x_max, y_max."""
+        return np.array([[*ring.min(axis=0), *ring.max(axis=0)] for ring in self.obstacles]).reshape(-1, 4).T.copy()
 
-    def contains(self, point: Array) -> bool:
+    def contains(self, point: Array | tuple[float, float]) -> bool:
         """Return whether a point (2,) lies inside the rectangle or on its edge."""
         x_min, y_min, x_max, y_max = self.bounds
         return bool(x_min <= point[0] <= x_max and y_min <= point[1] <= y_max)
 
     def is_free(self, start: Array, end: Array) -> bool:
         """Return whether the segment from ``start`` (2,) to ``end`` (2,) stays inside and touches no obstacle."""
-        if not (self.contains(start) and self.contains(end)):
+        (x, y), (x_end, y_end) = map(float, start), map(float, end)
+        if not (self.contains((x, y)) and self.contains((x_end, y_end))):
             return False
-        lowest, highest = self._boxes
+        x_min, y_min, x_max, y_max = self._boxes
         # Most segments are far from all obstacles; the bounding boxes show that without a call of shapely.
-        near = ((lowest <= np.maximum(start, end)) & (highest >= np.minimum(start, end))).all(axis=1)
+        near = (x_min <= max(x, x_end)) & (x_max >= min(x, x_end)) & (y_min <= max(y, y_end)) & (y_max >= min(y, y_end))
         return not (near.any() and self._touches(near, start, end))
 
     def are_free(self, starts: Array, ends: Array) -> NDArray[np.bool_]:

@@ -204,12 +204,12 @@ class Route:
     @property
     def ends(self) -> Array:
         """Where the vehicles are at the end, (V, 2)."""
-        return np.array([path[-1] for path in self.paths]).reshape(-1, 2)
+        return handed_over(np.array([path[-1] for path in self.paths]).reshape(-1, 2))
 
     @classmethod
     def hover(cls, vehicle: Vehicle) -> Route:
         """Return the route on which every vehicle stays where it is."""
-        return cls(tuple(position[np.newaxis] for position in vehicle.positions), dt=vehicle.dt)
+        return cls(tuple(vehicle.positions[:, np.newaxis]), dt=vehicle.dt)
 
 
 @dataclass(frozen=True, eq=False)

@@ -49,7 +49,9 @@ def sort_by_cycle(
     """
     if len(observations) == 1 and observations[0].time == request.end:  # in every cycle of a twin experiment
         one = observations[0]
-        return Sorted(one, np.full(one.values.size, one.time), counts={**NONE, "on_time": one.values.size})
+        times = np.empty(one.values.size)
+        times.fill(one.time)
+        return Sorted(one, times, counts={**NONE, "on_time": times.size})
     now: list[Observation] = []
     late: list[tuple[int, Observation]] = []
     dropped: list[Observation] = []

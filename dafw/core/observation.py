@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 
 import numpy as np
 
@@ -35,12 +34,13 @@ class ObservationOperator:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "covariance", freeze(self.covariance))
+        matrices = [("covariance", self.covariance)]
         if self.noise_covariance is not None:
             object.__setattr__(self, "noise_covariance", freeze(self.noise_covariance))
-        for label, matrix in (("covariance", self.covariance), ("noise covariance", self.noise)):
-            shape = matrix.shape
-            if len(shape) not in (1, 2) or any(length != self.size for length in shape):
-                raise ConfigurationError(f"the {label} of {self.size} readings has the shape {shape}")
+            matrices.append(("noise covariance", self.noise))
+        for label, matrix in matrices:
+            if matrix.shape not in ((self.size,), (self.size, self.size)):
+                raise ConfigurationError(f"the {label} of {self.size} readings has the shape {matrix.shape}")
             variances = matrix if matrix.ndim == 1 else np.diag(matrix)
             if not (variances > 0.0).all():
                 raise ConfigurationError(f"the {label} has a variance that is not above zero: {variances.min()}")
@@ -174,6 +174,16 @@ def whiten(covariance: Array, rows: Array) -> Array:
     return np.asarray(solve_triangular(np.linalg.cholesky(covariance), rows.T, lower=True).T)
 
 
+def whiten_both(covariance: Array, first: Array, second: Array) -> tuple[Array, Array]:
+    """Return ``whiten`` of two arrays of rows; the covariance is factorised only once."""
+    if covariance.ndim == 1:
+        sd = np.sqrt(covariance)
+        return first / sd, second / sd
+    rows = whiten(covariance, np.vstack([first, second]))
+    split = len(rows) - (len(second) if second.ndim == 2 else 1)
+    return rows[:split], rows[split:].reshape(second.shape)
+
+
 def colour(covariance: Array, rows: Array) -> Array:
     """Return L applied to each of the rows (m,) or (N, m): standard normal numbers become noise of that covariance."""
     if covariance.ndim == 1:
@@ -202,7 +212,7 @@ class Observation:
                 f"got the shape {self.values.shape}"
             )
 
-    @cached_property
+    @property
     def covariance(self) -> Array:
         """R as the filter is told: (m,) where diagonal, else (m, m)."""
         return self.operator.covariance

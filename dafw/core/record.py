@@ -22,8 +22,8 @@ from dafw.core.cycle import PHASES, Cycle, Parts, State
 from dafw.core.diagnostics import INNOVATION, SCORES, error_of, innovation_scores, scores
 from dafw.core.ensemble import Ensemble
 from dafw.core.observation import Observation, Selection
-from dafw.core.run_file import RunFile
-from dafw.core.space import Array, StateSpace
+from dafw.core.run_file import STAGES, RunFile
+from dafw.core.space import Array, StateSpace, Variable
 
 FLUSH_SECONDS = 0.5
 
@@ -45,14 +45,18 @@ class Record:
         attributes: Mapping[str, str | int],
         fields: str = "all",
     ) -> None:
-        self._space, self._with_members = parts.model.space, tuple(with_members)
+        self._space = parts.model.space
         self._has_truth, self._smooths = parts.truth is not None, parts.filter.window != 0
+        # The variables of the file by stage, and where their values are in a state. A single number is read as one.
+        places = {one.name: _place(self._space, one) for one in self._space.variables}
+        self._places = {stage: [(f"{name}_{stage}", place) for name, place in places.items()] for stage in STAGES}
+        self._places["members"] = [(f"{name}_members", places[name]) for name in with_members]
         self._file = RunFile(
             path,
             parts,
             n_members=len(state.belief.ensemble),
             n_vehicles=len(state.vehicle.positions),
-            with_members=self._with_members,
+            with_members=with_members,
             section=section,
             attributes=attributes,
         )
@@ -71,7 +75,8 @@ class Record:
         """Add a finished cycle; return its scores."""
         begun = perf_counter()
         row = self._append(cycle.state, cycle.truth, cycle)
-        self._revised.update({done: belief.ensemble for done, belief in cycle.analysis.revised.items()})
+        for done, revised in cycle.analysis.revised.items():
+            self._revised[done] = revised.ensemble
         if perf_counter() - self._flushed > FLUSH_SECONDS:
             self.flush()
         self._recording = perf_counter() - begun
@@ -79,29 +84,29 @@ class Record:
 
     def _append(self, state: State, truth: Ensemble | None, cycle: Cycle | None) -> dict[str, Any]:
         belief = state.belief.ensemble
-        free = state.free.ensemble if state.free else None
-        forecast = cycle.forecast if cycle else None
-        stages: dict[str, Array | None] = {
-            "truth": truth.members[0] if truth else None,
-            "free": free.members[0] if free else None,
-            "forecast_mean": forecast.mean if forecast else None,
-            "forecast_spread": forecast.spread if forecast else None,
-            "mean": belief.mean,
-            "spread": belief.spread,
-        }
+        free = None if state.free is None else state.free.ensemble
+        forecast = None if cycle is None else cycle.forecast
+        stages = {"mean": belief.mean, "spread": belief.spread}
+        if truth is not None:
+            stages["truth"] = truth.members[0]
+        if free is not None:
+            stages["free"] = free.members[0]
+        if forecast is not None:
+            stages |= {"forecast_mean": forecast.mean, "forecast_spread": forecast.spread}
         if self._smooths:
             stages |= {"smoothed_mean": belief.mean, "smoothed_spread": belief.spread}
         row: dict[str, Any] = {}
         for stage, vector in stages.items():
-            row |= self._unpacked(vector, stage) if vector is not None else {}
-        for name in self._with_members:
-            row[f"{name}_members"] = _squeeze(belief.members[:, self._space.slice(name)])
+            for name, place in self._places[stage]:
+                row[name] = vector[place]
+        for name, place in self._places["members"]:
+            row[name] = belief.members[:, place]
         if belief.weights is not None:
             self._file.require_weights()
             row["weight"] = belief.weights
         row["time"] = belief.time
         row["vehicle_x"], row["vehicle_y"] = state.vehicle.positions.T
-        found = scores(self._space, truth.members[0] if truth else None, belief, forecast, free)
+        found = scores(self._space, stages.get("truth"), belief, forecast, free)
         if not self._has_truth:
             found = {"spread": found["spread"]}
         elif free is None:
@@ -126,10 +131,6 @@ class Record:
             names = [name for name in row if self._file.is_field(name)]
             self._last_fields = {name: row.pop(name) for name in names}
 
-    def _unpacked(self, vector: Array, stage: str) -> dict[str, Array]:
-        """Return a state (n,) as the row's variables of a stage."""
-        return {f"{name}_{stage}": _squeeze(values) for name, values in self._space.unpack(vector).items()}
-
     def _cycle_row(self, cycle: Cycle) -> dict[str, Any]:
         # The time that recording takes is known only afterwards, so it is recorded in the next row.
         seconds = cycle.seconds | {"record": self._recording}
@@ -148,9 +149,8 @@ class Record:
         self._file.write(self._rows)
         self._rows.clear()
         for done, belief in self._revised.items():
-            row: dict[str, Any] = self._unpacked(belief.mean, "smoothed_mean") | self._unpacked(
-                belief.spread, "smoothed_spread"
-            )
+            row: dict[str, Any] = {name: belief.mean[place] for name, place in self._places["smoothed_mean"]}
+            row |= {name: belief.spread[place] for name, place in self._places["smoothed_spread"]}
             if self._has_truth:
                 row["err_smoothed"] = self._smoothed_error(done, belief)
             if self._thin and done:
@@ -187,12 +187,15 @@ def _observation_row(cycle: Cycle, expected: Array, space: StateSpace) -> dict[s
     """
     readings = cycle.readings
     # The filter uses these readings together at the end of the cycle, but each was taken at its own time.
-    row = _readings(readings.now, 0, expected, space) | {"observation_time": readings.times}
+    row = _readings(readings.now, np.zeros(readings.times.size, dtype="i1"), readings.times, expected, space)
     others = [(one, 1) for _, one in readings.late] + [(one, 2) for one in readings.dropped]
     if not others:
         return row
-    unknown = [np.full(one.values.size, np.nan) for one, _ in others]
-    rows = [row, *(_readings(one, use, x, space) for (one, use), x in zip(others, unknown, strict=True))]
+    rows = [row]
+    for one, use in others:
+        size = one.values.size
+        uses, times, unknown = np.full(size, use, dtype="i1"), np.full(size, one.time), np.full(size, np.nan)
+        rows.append(_readings(one, uses, times, unknown, space))
     missing = {"observation_node": -1, "observation_x": np.nan, "observation_y": np.nan}
     names = dict.fromkeys(name for one in rows for name in one)
     return {
@@ -203,24 +206,26 @@ def _observation_row(cycle: Cycle, expected: Array, space: StateSpace) -> dict[s
     }
 
 
-def _readings(observation: Observation, use: int, expected: Array, space: StateSpace) -> dict[str, Any]:
-    """Return the row's variables of an observation; ``use`` says how it was used."""
-    operator, covariance, size = observation.operator, observation.covariance, observation.values.size
+def _readings(observation: Observation, uses: Any, times: Array, expected: Array, space: StateSpace) -> dict[str, Any]:
+    """Return the row's variables of readings taken at ``times`` (m,); ``uses`` (m,) say how they were used."""
+    operator, covariance = observation.operator, observation.covariance
     row: dict[str, Any] = {
         "observation_value": observation.values,
         "observation_forecast_mean": expected,
         "observation_variance": covariance if covariance.ndim == 1 else np.diag(covariance),
-        "observation_time": np.full(size, observation.time),
-        "observation_use": np.full(size, use, dtype="i1"),
+        "observation_time": times,
+        "observation_use": uses,
     }
     if isinstance(operator, Selection):
-        row["observation_node"] = np.where(operator.indices < space.variables[0].size, operator.indices, -1)
+        n_nodes, indices = space.variables[0].size, operator.indices
+        row["observation_node"] = indices if n_nodes == space.size else np.where(indices < n_nodes, indices, -1)
     if operator.coordinates is not None:
         for axis, column in zip("xy", operator.coordinates.T, strict=False):
             row[f"observation_{axis}"] = column
     return row
 
 
-def _squeeze(values: Array) -> Array:
-    """Return the values of a variable of size 1 without their last axis."""
-    return values[..., 0] if values.shape[-1] == 1 else values
+def _place(space: StateSpace, variable: Variable) -> slice | int:
+    """Return where a variable's values are in a state; the entry alone if there is only one."""
+    part = space.slice(variable.name)
+    return part if variable.size > 1 else part.start

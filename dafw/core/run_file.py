@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -206,6 +207,8 @@ class RunFile:
 
     def require(self, name: str, diagnostic: Diagnostic, values: Any) -> None:
         """Define a diagnostic's variable if it is new; raises ContractError if the values do not fit into it."""
+        if name in self._shapes and values.shape == self._shapes[name] and values.dtype == self._fills[name].dtype:
+            return
         dtype = {"f": "f8", "i": "i8", "u": "i8", "b": "i1"}[values.dtype.kind]
         if name not in self._shapes:
             for dim, length in zip(diagnostic.dims, values.shape, strict=True):
@@ -229,7 +232,7 @@ class RunFile:
     def write(self, rows: Sequence[Mapping[str, Any]]) -> None:
         """Add rows (values by the variable's name) and synchronise; variables that a row lacks stay missing."""
         first, last = self._written, self._written + len(rows)
-        for name in dict.fromkeys(name for row in rows for name in row):
+        for name in dict.fromkeys(chain.from_iterable(rows)):
             fill = self._fills[name]
             block = _block([row.get(name, fill) for row in rows], fill)
             if block.size:

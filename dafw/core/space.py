@@ -116,6 +116,7 @@ class StateSpace:
         if start == 0:
             raise ConfigurationError("a state space needs at least one variable")
         self.size = start
+        self._named = {variable.name: variable for variable in self.variables}
         self._nonnegative = [self._slices[v.name] for v in self.variables if v.kind is NONNEGATIVE]
         self._positive = [self._slices[v.name] for v in self.variables if v.kind is POSITIVE]
         self._angles = [self._slices[v.name] for v in self.variables if v.kind is ANGLE]
@@ -140,14 +141,14 @@ class StateSpace:
 
     def __getitem__(self, name: str) -> Variable:
         """Return the variable of that name; raises ConfigurationError, which lists all names."""
-        for variable in self.variables:
-            if variable.name == name:
-                return variable
-        raise ConfigurationError(f"no state variable '{name}' (there are: {', '.join(self._slices)})")
+        if name not in self._named:
+            raise ConfigurationError(f"no state variable '{name}' (there are: {', '.join(self._named)})")
+        return self._named[name]
 
     def slice(self, name: str) -> slice:
         """Return the slice of the state that holds the variable."""
-        self[name]
+        if name not in self._slices:
+            self[name]  # raises
         return self._slices[name]
 
     def unpack(self, members: Array) -> dict[str, Array]:
@@ -239,7 +240,8 @@ class StateSpace:
 def sum_of_squares(values: Array) -> float:
     """Return the sum of the squares of an array of any shape; infinite or NaN if one of its numbers is."""
     flat = values.ravel(order="K")
-    return float(flat @ flat)
+    # ``dot`` takes half the time of ``@`` for small arrays; a cycle has seven such sums.
+    return float(flat.dot(flat))
 
 
 def _average(values: Array, weights: Array | None) -> Array:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import logging
 import sys
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping
+from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
 from time import perf_counter
@@ -23,7 +23,7 @@ from dafw.core.record import Record
 from dafw.core.study import Study
 from dafw.studies.reporting import closing_line, log_domain, log_file, postfix, progress, sentence, warn_once
 from dafw.studies.stopping import Interrupted, Stop, stop_signals
-from dafw.studies.summary import Summary, file_attributes
+from dafw.studies.summary import Summary
 
 log = logging.getLogger("dafw")
 LOG_SECONDS = 0.2
@@ -102,6 +102,7 @@ class _Run:
         self.study, self.folder, self.communicator = study, folder, communicator
         self.summary = Summary(study, begun, communicator.size if communicator else 1)
         self.record: Record | None = None
+        self._writing = _Writing(folder)
         # The status of a run that is killed before it can write another one.
         self.noted = perf_counter()
         claim(folder / "summary.json")
@@ -116,14 +117,14 @@ class _Run:
         summary.begin(study)
         stop.patient = True
         log_domain(parts)
-        with self._writing():
+        with self._writing:
             self.record = Record(
                 self.folder / "run.nc",
                 parts,
                 state,
                 with_members=_with_members(study, parts),
                 section=np.array(study.section, dtype=np.float64).reshape(-1, 2),
-                attributes=file_attributes(study, summary.pinned),
+                attributes=summary.file_attributes(),
                 fields=study.record_fields,
             )
         logged = 0.0
@@ -131,7 +132,7 @@ class _Run:
             for done in range(1, study.cycles + 1):
                 cycle = advance(parts, state)
                 recorded = perf_counter()
-                with self._writing():
+                with self._writing:
                     scores = self.record.append(cycle)
                 cycle.seconds["record"] = perf_counter() - recorded
                 summary.add(cycle, scores)
@@ -144,7 +145,7 @@ class _Run:
                     bar.set_postfix_str(postfix(state, scores), refresh=False)
                 bar.update()
                 if perf_counter() - self.noted > SUMMARY_SECONDS:
-                    with self._writing():
+                    with self._writing:
                         self._write_summary()
                 if stop.agreed(self.communicator) and done < study.cycles:
                     raise Interrupted
@@ -161,7 +162,7 @@ class _Run:
     def end(self, status: str, error: str = "") -> None:
         """Close the record and say how the run ended; raises RecordError if that cannot be written."""
         try:
-            with self._writing():
+            with self._writing:
                 if self.record is not None:
                     self.record.close()
         except RecordError as failure:
@@ -169,7 +170,7 @@ class _Run:
             raise
         finally:
             self.summary.status, self.summary.error = status, error
-            with self._writing():
+            with self._writing:
                 self._write_summary()
             log.info("%s after %d of %d cycles %s", status, self.summary.cycles, self.study.cycles, error)
 
@@ -177,14 +178,18 @@ class _Run:
         self.noted = perf_counter()
         write_atomically(self.folder / "summary.json", self.summary.text())
 
-    @contextmanager
-    def _writing(self) -> Iterator[None]:
-        """Have an error of the record say that the run cannot be written: a full disk, say."""
-        try:
-            yield
-        except (OSError, RuntimeError) as error:
-            if by_plugin(error) is not None:
-                raise
+
+class _Writing:
+    """Makes an error of the record say that the run cannot be written: a full disk, say."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def __enter__(self) -> None:
+        return None
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        if isinstance(error, OSError | RuntimeError) and by_plugin(error) is None:
             raise RecordError(f"{self.folder}: the run cannot be written ({type(error).__name__}: {error})") from error
 
 

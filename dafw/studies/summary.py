@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import math
 import platform
+from collections import defaultdict
 from collections.abc import Iterator, Mapping
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from time import perf_counter
 from typing import Any
@@ -16,7 +18,13 @@ from dafw.core.cycle import Cycle, Parts, State
 from dafw.core.registry import registry
 from dafw.core.study import Study
 
-VERSIONED = ("numpy", "scipy", "dolfinx-solver-real", "gmsh", "netcdf4", "xarray", "hydra-core")
+VERSIONED = ("dafw", "numpy", "scipy", "dolfinx-solver-real", "gmsh", "netcdf4", "xarray", "hydra-core")
+USES_TO_WARN_OF = {
+    "late_used_now": "a reading came late and is used as if it were of now",
+    "late_dropped": "a reading came too late and is dropped",
+    "before_start": "a reading is of a time before the study begins and is dropped",
+}
+"""Uses of a reading (``dafw.core.late.USES``) that a user must know of, in words."""
 
 
 class Summary:
@@ -29,11 +37,11 @@ class Summary:
         self.warned: set[str] = set()
         self.diverged_at: float | None = None
         self.pinned: dict[str, Mapping[str, Any]] = {}
-        self._versions = _versions(study)
-        self._seconds: dict[str, float] = {}
-        self._scores: dict[str, float] = {}
+        self.versions = _versions(study)
+        self._seconds: defaultdict[str, float] = defaultdict(float)
+        self._scores: Mapping[str, float] = {}
         self._parameters: dict[str, dict[str, float | None]] = {}
-        self._counts: dict[str, int] = {}
+        self._counts: defaultdict[str, int] = defaultdict(int)
         self._innovations: list[float] = []
 
     def begin(self, study: Study) -> None:
@@ -45,13 +53,13 @@ class Summary:
     def add(self, cycle: Cycle, scores: Mapping[str, float]) -> None:
         """Add a finished cycle."""
         self.cycles += 1
-        self._scores = dict(scores)
+        self._scores = scores
         if math.isfinite(scores["innovation_rms"]):
             self._innovations.append(scores["innovation_rms"])
         for phase, seconds in cycle.seconds.items():
-            self._seconds[phase] = self._seconds.get(phase, 0.0) + seconds
+            self._seconds[phase] += seconds
         for use, count in cycle.readings.counts.items():
-            self._counts[use] = self._counts.get(use, 0) + count
+            self._counts[use] += count
         belief = cycle.state.belief.ensemble
         if self.diverged_at is None and belief.space.exceeds(belief.members, 1.0):
             self.diverged_at = cycle.state.belief.ensemble.time
@@ -70,12 +78,7 @@ class Summary:
                 f"{parts.filter.label} has diverged: {belief.space.place_of(entry)} of member {member} is "
                 f"{belief.members[member, entry]:.4g}, more than the model itself can produce",
             )
-        said = {
-            "late_used_now": "a reading came late and is used as if it were of now",
-            "late_dropped": "a reading came too late and is dropped",
-            "before_start": "a reading is of a time before the study begins and is dropped",
-        }
-        for use, text in said.items():
+        for use, text in USES_TO_WARN_OF.items():
             if cycle.readings.counts.get(use):
                 yield use, f"{text} (summary.json counts them)"
 
@@ -96,31 +99,31 @@ class Summary:
             "err_free_final": _finite(self._scores.get("err_free")),
             "innovation_rms": math.sqrt(np.mean(np.square(self._innovations))) if self._innovations else None,
             "diverged_at": self.diverged_at,
-            "readings": self._counts,
+            "readings": dict(self._counts),
             "parameters_final": self._parameters,
             "wall_seconds": round(perf_counter() - self.begun, 3),
             "pinned": self.pinned,
             "phase_seconds": {phase: round(seconds, 4) for phase, seconds in self._seconds.items()},
-            "versions": self._versions,
+            "versions": self.versions,
         }
         return summary | ({"error": self.error} if self.error else {})
+
+    def file_attributes(self) -> dict[str, str | int]:
+        """Return the global attributes of the run's file."""
+        study = self.study
+        return {
+            "title": f"dafw study {study.name}",
+            "name": study.name,
+            "seed": study.seed,
+            "dafw_version": self.versions["dafw"],
+            "parts": json.dumps(registry().parts(study.parts_by_role)),
+            "versions": json.dumps(self.versions),
+            **{f"{role}_pinned": json.dumps(options) for role, options in self.pinned.items()},
+        }
 
     def text(self) -> str:
         """Return the summary as JSON."""
         return json.dumps(self.values(), indent=2) + "\n"
-
-
-def file_attributes(study: Study, pinned: Mapping[str, Mapping[str, Any]]) -> dict[str, str | int]:
-    """Return the global attributes of a run's file."""
-    return {
-        "title": f"dafw study {study.name}",
-        "name": study.name,
-        "seed": study.seed,
-        "dafw_version": version("dafw"),
-        "parts": json.dumps(registry().parts(study.parts_by_role)),
-        "versions": json.dumps(_versions(study)),
-        **{f"{role}_pinned": json.dumps(options) for role, options in pinned.items()},
-    }
 
 
 def _finite(value: float | None) -> float | None:
@@ -129,13 +132,19 @@ def _finite(value: float | None) -> float | None:
 
 def _versions(study: Study) -> dict[str, str]:
     """Return the versions of Python, of the libraries that matter and of every package of plugins."""
-    found = {"dafw": version("dafw"), "python": platform.python_version()}
+    found = {"python": platform.python_version(), **_library_versions()}
+    return found | registry().versions(study.parts_by_role.values())
+
+
+@cache
+def _library_versions() -> Mapping[str, str]:
+    found = {}
     for name in VERSIONED:
         try:
             found[name] = version(name)
         except PackageNotFoundError:
             continue
-    return found | registry().versions(study.parts_by_role.values())
+    return found
 
 
 def _parameters(parts: Parts, state: State) -> dict[str, dict[str, float | None]]:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dafw import ConfigurationError, ObservationOperator, Selection
-from dafw.core.observation import Stacked, colour, stack, whiten
+from dafw.core.observation import Stacked, colour, stack, whiten, whiten_both
 
 MEMBERS = np.arange(12.0).reshape(3, 4)
 FULL = np.array([[2.0, 0.5], [0.5, 1.0]])
@@ -64,6 +64,16 @@ def test_whitening_undoes_colouring(covariance):
     matrix = covariance if covariance.ndim == 2 else np.diag(covariance)
     inner = whiten(covariance, rows) @ whiten(covariance, rows).T
     np.testing.assert_allclose(inner, rows @ np.linalg.inv(matrix) @ rows.T, atol=1e-13)
+
+
+@pytest.mark.parametrize("covariance", [FULL, np.array([2.0, 3.0])], ids=["full", "diagonal"])
+@pytest.mark.parametrize("shape", [(2,), (1, 2), (4, 2)])
+def test_whitening_both_is_whitening_each(covariance, shape):
+    generator = np.random.default_rng(1)
+    first, second = generator.standard_normal((5, 2)), generator.standard_normal(shape)
+    for both, one in zip(whiten_both(covariance, first, second), (first, second), strict=True):
+        assert both.shape == one.shape
+        np.testing.assert_allclose(both, whiten(covariance, one), rtol=1e-14)
 
 
 @pytest.mark.parametrize(

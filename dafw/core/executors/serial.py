@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from dafw.core.executors import Executor
@@ -14,7 +14,7 @@ from dafw.core.interfaces.model import Model
 class Serial(Executor):
     """Steps the members in this process; has no options."""
 
-    def begin(self, model: Model, batches: Sequence[Batch]) -> Callable[[], Sequence[Stepped]]:
-        """Step the batches at once; return a function that returns the results."""
-        stepped = [step_members(model, batch) for batch in batches]
+    def submit(self, model: Model, batch: Batch) -> Callable[[], Stepped]:
+        """Step the members at once; return a function that returns the result."""
+        stepped = step_members(model, batch)
         return lambda: stepped

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
@@ -156,6 +157,4 @@ class Filter(Plugin):
                 forecast.with_members(members, analysis.weights)
             except ContractError as error:
                 raise ContractError(f"{self.label}: {error}") from error
-        return Analysis(
-            members, analysis.memory, analysis.diagnostics, analysis.weights, analysis.revised, analysis.model_memory
-        )
+        return analysis if members is analysis.members else replace(analysis, members=members)

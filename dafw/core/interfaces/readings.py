@@ -83,10 +83,12 @@ class Readings(Plugin):
     def collect(self, request: Request, memory: Memory | None, rng: np.random.Generator) -> Taken:
         """Ask for readings and check that they are finite numbers and not from the future; raises ContractError."""
         taken = self.take_with_memory(request, memory, rng)
-        if not isinstance(taken, Taken) or not all(isinstance(one, Observation) for one in taken.observations):
+        if not isinstance(taken, Taken):
             raise ContractError(f"{self.label}: expected observations, got {taken!r}")
         latest = request.end + 1e-9 * max(1.0, abs(request.end))
         for observation in taken.observations:
+            if not isinstance(observation, Observation):
+                raise ContractError(f"{self.label}: expected observations, got {taken!r}")
             self.checked(observation.values, observation.values.shape, "readings")
             if observation.time > latest:
                 raise ContractError(

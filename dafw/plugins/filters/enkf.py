@@ -18,7 +18,7 @@ import numpy as np
 
 from dafw.core.ensemble import Analysis, Ensemble
 from dafw.core.interfaces import Filter
-from dafw.core.observation import Observation, whiten
+from dafw.core.observation import Observation, whiten_both
 from dafw.core.options import option
 from dafw.core.space import Array
 
@@ -34,13 +34,13 @@ class EnKF(Filter):
     ) -> Analysis:
         """Return the inflated members, each moved by the gain and kept in the range of each variable."""
         anomalies = self.inflation * forecast.anomalies
-        predicted_mean = predicted.mean(axis=0)
+        predicted_mean = np.add.reduce(predicted, axis=0) / len(predicted)
         predicted_anomalies = self.inflation * (predicted - predicted_mean)
         innovations = observation.values - predicted_mean - predicted_anomalies
-        # Both in one call, so that a full covariance is factorised once.
-        rows = whiten(observation.covariance, np.vstack([predicted_anomalies, innovations]))
-        Y, dy = np.split(rows, 2)  # noqa: N806
+        Y, dy = whiten_both(observation.covariance, predicted_anomalies, innovations)  # noqa: N806
         Z = rng.standard_normal(Y.shape)  # noqa: N806
         Z -= Z.mean(axis=0)  # noqa: N806
-        gain = np.linalg.solve(Y @ Y.T + (len(Y) - 1) * np.eye(len(Y)), anomalies)
-        return Analysis(forecast.space.retract(forecast.mean, anomalies + (dy - Z) @ Y.T @ gain))
+        gram = Y.dot(Y.T)
+        gram.flat[:: len(Y) + 1] += len(Y) - 1  # its diagonal
+        gain = np.linalg.solve(gram, anomalies)
+        return Analysis(forecast.space.retract(forecast.mean, anomalies + (dy - Z).dot(Y.T).dot(gain)))

@@ -27,23 +27,16 @@ and a uniform orthogonal Q::
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import sqrt
 
 import numpy as np
 
 from dafw.core.ensemble import Analysis, Ensemble
 from dafw.core.interfaces import Filter
-from dafw.core.observation import Observation, whiten
+from dafw.core.observation import Observation, whiten_both
 from dafw.core.options import option
 from dafw.core.space import Array
 from dafw.plugins.filters.rotation import uniform_orthogonal, zero_mean_basis
-
-
-def _whitened(predicted_anomalies: Array, innovation: Array, covariance: Array) -> tuple[Array, Array]:
-    """Return both in units of the readings' errors; a full covariance is factorised only once."""
-    if covariance.ndim == 1:
-        return whiten(covariance, predicted_anomalies), whiten(covariance, innovation)
-    rows = whiten(covariance, np.vstack([predicted_anomalies, innovation]))
-    return rows[:-1], rows[-1]
 
 
 def transform(predicted_anomalies: Array, innovation: Array, covariance: Array) -> tuple[Array, Array]:
@@ -52,7 +45,7 @@ def transform(predicted_anomalies: Array, innovation: Array, covariance: Array) 
     ``predicted_anomalies`` Y (N, m), ``innovation`` dy (m,), ``covariance`` R (m,) or (m, m).
     """
     n_members = len(predicted_anomalies)
-    Y, dy = _whitened(predicted_anomalies, innovation, covariance)  # noqa: N806
+    Y, dy = whiten_both(covariance, predicted_anomalies, innovation)  # noqa: N806
     d, V = np.linalg.eigh(Y @ Y.T)  # noqa: N806
     d = np.maximum(d, 0.0) + (n_members - 1)  # adds (N - 1) I; d < 0 only by rounding
     T = (V * np.sqrt((n_members - 1) / d)) @ V.T  # noqa: N806
@@ -63,18 +56,22 @@ def transform(predicted_anomalies: Array, innovation: Array, covariance: Array) 
 def rotated_transform(
     predicted_anomalies: Array, innovation: Array, covariance: Array, rng: np.random.Generator
 ) -> tuple[Array, Array]:
-    """Return Lambda (N,) as ``transform`` does, and U T (N, N): its T under a random rotation U."""
+    """Return Lambda (N,) as ``transform`` does, and U T (N, N): its T under a random rotation U.
+
+    Products are written ``a.dot(b)``: for so small matrices ``a @ b`` takes longer. For N = 24 and m = 40 that is 144
+    instead of 130 microseconds a call, 3 % of a whole run of ``experiment=lorenz96``. The bits are the same.
+    """
     n_members = len(predicted_anomalies)
     basis = zero_mean_basis(n_members)
-    Y, dy = _whitened(predicted_anomalies, innovation, covariance)  # noqa: N806
-    Y = basis.T @ Y  # noqa: N806
-    gram = Y @ Y.T
+    Y, dy = whiten_both(covariance, predicted_anomalies, innovation)  # noqa: N806
+    Y = basis.T.dot(Y)  # noqa: N806
+    gram = Y.dot(Y.T)
     gram.flat[::n_members] += n_members - 1  # its diagonal
     L = np.linalg.cholesky(gram)  # noqa: N806
     root = np.linalg.solve(L, basis.T)
-    Lambda = (root @ (basis @ (Y @ dy))) @ root  # noqa: N806
+    Lambda = root.dot(basis.dot(Y.dot(dy))).dot(root)  # noqa: N806
     Q = uniform_orthogonal(n_members - 1, rng)  # noqa: N806
-    return Lambda, np.sqrt(n_members - 1) * (basis @ (Q @ root)) + 1.0 / n_members
+    return Lambda, sqrt(n_members - 1) * basis.dot(Q.dot(root)) + 1.0 / n_members
 
 
 @dataclass
@@ -96,5 +93,5 @@ class ETKF(Filter):
             weights, matrix = rotated_transform(anomalies, innovation, observation.covariance, rng)
         else:
             weights, matrix = transform(anomalies, innovation, observation.covariance)
-        increments = (weights + matrix) @ (self.inflation * forecast.anomalies)
+        increments = (weights + matrix).dot(self.inflation * forecast.anomalies)
         return Analysis(forecast.space.retract(forecast.mean, increments))

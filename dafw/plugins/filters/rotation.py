@@ -32,4 +32,4 @@ def uniform_orthogonal(size: int, rng: np.random.Generator) -> Array:
     """
     Q, R = np.linalg.qr(rng.standard_normal((size, size)))  # noqa: N806
     # Without these signs Q would not be uniform: the factorisation has its own convention for the signs of R.
-    return np.asarray(Q * np.where(np.diagonal(R) < 0.0, -1.0, 1.0))
+    return np.asarray(Q * np.copysign(1.0, R.diagonal()))

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from dafw.core.ensemble import Diagnostic, Ensemble, Route, Vehicle
+from dafw.core.ensemble import Diagnostic, Ensemble, Route, Vehicle, handed_over
 from dafw.core.errors import ConfigurationError
 from dafw.core.interfaces import Policy
 from dafw.core.options import option
@@ -38,10 +38,13 @@ def sector_scores(
     """
     angle = np.arctan2(coordinates[:, 1] - position[1], coordinates[:, 0] - position[0])
     angle += TWO_PI * (angle < 0.0)
-    sector = np.zeros(len(angle), dtype=np.intp)
-    # For unsorted angles a binary search mispredicts branches; comparing all angles with each edge is faster.
+    # For unsorted angles a binary search mispredicts branches; comparing all angles with each edge is faster. Bytes
+    # count up to 127 edges. Wider numbers take four times as long: 45 instead of 11 microseconds for 2,715 nodes, of
+    # 1 ms that a cycle takes outside of model and filter.
+    passed: Any = np.zeros(len(angle), dtype=np.int8 if n_sectors <= 128 else np.intp)
     for edge in np.arange(1, n_sectors) * TWO_PI / n_sectors:
-        sector += angle >= edge
+        passed += (angle >= edge).view(np.int8)
+    sector = passed.astype(np.intp)
     nodes = np.bincount(sector, minlength=n_sectors)
     total_variance = np.bincount(sector, variance, minlength=n_sectors)
     total_mean = np.bincount(sector, mean, minlength=n_sectors)
@@ -71,7 +74,7 @@ class EnIE2D(Policy):
 
     def weight(self, t: float) -> float:
         """Return theta_t; constant before the first and after the last time of a schedule."""
-        return float(np.interp(t, self._times, self._weights))
+        return float(self._weights[0] if len(self._times) == 1 else np.interp(t, self._times, self._weights))
 
     def suit(self, space: StateSpace) -> None:
         """Raise ConfigurationError if the variable does not exist or has no coordinates in the plane."""
@@ -95,7 +98,7 @@ class EnIE2D(Policy):
                 notes.append(f"vehicle {number} hovers at {position.round(1).tolist()}: every way is blocked")
             paths.append(path)
         recorded = Diagnostic(scores, ("vehicle", "sector"), long_name="score of each sector at the decision")
-        return Route(tuple(paths), diagnostics={"sector_score": recorded}, notes=tuple(notes))
+        return Route(tuple(paths), diagnostics={"sector_score": recorded}, notes=tuple(notes), dt=vehicle.dt)
 
     def _leg(self, position: Array, best: int, vehicle: Vehicle) -> Array:
         """Return the first free leg (2, 2), clockwise from the best sector, or the position alone (1, 2)."""
@@ -103,5 +106,5 @@ class EnIE2D(Policy):
             angle = (best + 0.5 - turn) * TWO_PI / self.sectors
             end = position + vehicle.reach * np.array([np.cos(angle), np.sin(angle)])
             if vehicle.airspace is None or vehicle.airspace.is_free(position, end):
-                return np.array([position, end])
+                return handed_over(np.array([position, end]))
         return position[np.newaxis]

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dafw.core.ensemble import Memory
+from dafw.core.ensemble import Memory, handed_over
 from dafw.core.errors import ConfigurationError, ContractError
 from dafw.core.interfaces import Readings
 from dafw.core.interfaces.readings import Request, Taken
@@ -51,7 +51,7 @@ class Twin(Readings):
         if self.lag > 0.0:
             shown, memory = self._lagged(shown, request, memory or {})
         noise = colour(operator.noise, rng.standard_normal(operator.size))
-        return Taken([Observation(shown + noise, operator, request.end)], memory)
+        return Taken([Observation(handed_over(shown + noise), operator, request.end)], memory)
 
     def _lagged(self, met: Array, request: Request, memory: Memory) -> tuple[Array, Memory]:
         """Return what sensors show (m,) that meet ``met`` (m,), and the memory: for each what it shows and when (s)."""

@@ -38,7 +38,7 @@ def belief_of(members, nodes, time=0.0):
 
 
 @pytest.mark.parametrize("theta", [0.0, 0.2, 0.3])
-@pytest.mark.parametrize("n_sectors", [1, 3, 8, 16])
+@pytest.mark.parametrize("n_sectors", [1, 3, 8, 16, 128, 129, 300])
 def test_scores_agree_with_the_paper(theta, n_sectors):
     for position in ([0.0, 0.0], [20.0, -30.0], NODES[3]):
         position = np.array(position)
