@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import curves
+from benchmarks import curves, mismatch
 from benchmarks.cycle import SMALL
 
 ROOT = Path(__file__).parent.parent
@@ -56,3 +56,16 @@ def test_curves_of_two_seeds(tmp_path, capsys, monkeypatch):
     np.testing.assert_allclose(rows[:, 3], rows[:, 2], rtol=1e-3)
     assert "Standard deviation of ERR over the seeds" in capsys.readouterr().out
     assert (tmp_path / "curves.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_mismatch_has_a_floor_and_two_beliefs(capsys):
+    mesh = ["model.mesh.wall_size=60", "model.mesh.far_size=90", "model.mesh.across=1"]
+    basis = {"directions": 4, "levels": 1, "modes": 6, "tolerance": 1.0}
+    small = ["cycles=2", "members=3", *mesh, *(f"model.wind.basis.{name}={value}" for name, value in basis.items())]
+    assert mismatch.main([*small, "--truths", "amount_off", "--seeds", "1000"]) == 0
+    *_, row = capsys.readouterr().out.splitlines()
+    name, floor, amis, local = [column.strip() for column in row.split("|")[1:5]]
+    assert name == "amount_off"
+    # Without the right amount, a part of (1.3 - 1) / 1.3 is missed, or a little less by spreading it otherwise.
+    assert 15.0 < float(floor.removesuffix(" %")) <= 100.0 * 0.3 / 1.3
+    assert float(floor.removesuffix(" %")) < min(float(one.removesuffix(" %")) for one in (amis, local))

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 GRID = 80
 """Steps of the grid of ``Domain.ways`` along the longer side."""
+SKIN = 1e-3
+"""Depth in metres to which ``Domain.distances`` lets a segment touch an obstacle."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +78,33 @@ class Domain:
             flown = np.where(still, shapely.points(starts), shapely.linestrings(np.stack([starts, ends], axis=1)))
             free[self._tree.query(flown, predicate="intersects")[0]] = False
         return np.asarray(free)
+
+    @cached_property
+    def _cores(self) -> Any:
+        """The obstacles without their outermost millimetres, so that a segment along a wall does not meet them."""
+        import shapely
+
+        return shapely.STRtree(shapely.buffer(self._polygons, -SKIN))
+
+    def distances(self, place: Array, ends: Array, within: float) -> Array:
+        """Return the lengths (m,) in metres of the ways around the obstacles from ``place`` (2,) to ``ends`` (m, 2).
+
+        Infinite for a way that is longer than ``within``. Where the straight segment passes through no obstacle, it is
+        the way; places on walls are allowed. Other ways are those of ``ways``, a little longer than the shortest.
+        """
+        import shapely
+
+        straight = np.linalg.norm(ends - place, axis=1)
+        lengths = np.where(straight <= within, straight, np.inf)
+        near = np.flatnonzero((straight <= within) & (straight > 0.0))
+        if not len(self.obstacles) or not len(near):
+            return lengths
+        segments = shapely.linestrings(np.stack([np.broadcast_to(place, (len(near), 2)), ends[near]], axis=1))
+        hidden = near[np.unique(self._cores.query(segments, predicate="intersects")[0])]
+        if len(hidden):
+            around = np.maximum(self.ways.lengths(place, ends[hidden]), straight[hidden])
+            lengths[hidden] = np.where(around <= within, around, np.inf)
+        return lengths
 
     @cached_property
     def ways(self) -> Ways:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from dafw.core.domain import Domain
 from dafw.core.ensemble import Ensemble, Forecast
 from dafw.core.errors import ContractError
 from dafw.core.executors import Executor
@@ -107,6 +108,11 @@ class Rerun:
         batch = Batch(ensemble.members, start.memory, ensemble.time, rng, last - first, wanted, keep)
         stepped = self._executor.submit(self._model, batch)
         return lambda: self._replay(ensemble, first, last, stepped(), keep)
+
+    @property
+    def domain(self) -> Domain | None:
+        """The model's domain, with its obstacles; None if its state has no places."""
+        return self._model.domain
 
     def with_memory(self, ensemble: Ensemble) -> Forecast:
         """Return an ensemble with the memory that the model makes for members that it has not stepped yet."""

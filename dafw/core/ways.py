@@ -40,6 +40,17 @@ class Ways:
         distances, indices = self._tree.query(places)
         return np.asarray(indices, dtype=np.int64), np.asarray(distances, dtype=np.float64)
 
+    def lengths(self, place: Array, ends: Array) -> Array:
+        """Return the lengths (m,) in metres of the shortest ways on the grid from ``place`` (2,) to ``ends`` (m, 2).
+
+        Infinite where no way leads.
+        """
+        costs = np.full(len(self.points), np.inf)
+        point, distance = self.nearest(place[np.newaxis])
+        costs[point] = distance
+        points, distances = self.nearest(ends)
+        return np.asarray(self.least(costs, 1.0)[points] + distances)
+
     def least(self, costs: Array, per_metre: float) -> Array:
         """Return for every point the least cost (P,) of going to a point q of one's choice and paying ``costs[q]``.
 

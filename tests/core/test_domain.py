@@ -46,3 +46,25 @@ def test_it_agrees_with_shapely_about_legs_near_and_far():
         answers.append(domain.is_free(start, end))
         assert answers[-1] is (ground.covers(leg) and not any(leg.intersects(polygon) for polygon in polygons))
     assert any(answers) and not all(answers)
+
+
+def test_a_distance_is_straight_where_no_obstacle_is_crossed():
+    place, ends = np.array([4.0, 5.0]), np.array([[4.0, 5.0], [4.0, 4.2], [4.0, 1.0], [1.0, 9.0]])
+    straight = np.linalg.norm(ends - place, axis=1)  # the place is on a wall, and so is the way to the second one
+    np.testing.assert_array_equal(DOMAIN.distances(place, ends, 20.0), straight)
+    np.testing.assert_array_equal(DOMAIN.distances(place, ends, 4.5), np.where(straight <= 4.5, straight, np.inf))
+
+
+def test_a_distance_leads_around_an_obstacle():
+    around = DOMAIN.distances(np.array([3.0, 5.0]), np.array([[7.0, 5.0], [3.0, 5.1]]), 20.0)
+    shortest = 2.0 * np.sqrt(2.0) + 2.0
+    assert shortest <= around[0] <= 1.1 * shortest
+    np.testing.assert_allclose(around[1], 0.1)
+    assert DOMAIN.distances(np.array([3.0, 5.0]), np.array([[7.0, 5.0]]), 4.5)[0] == np.inf
+
+
+def test_no_way_leads_out_of_a_yard():
+    rings = [[[2, 2], [8, 2], [8, 3], [2, 3]], [[2, 7], [8, 7], [8, 8], [2, 8]]]
+    rings += [[[2, 2], [3, 2], [3, 8], [2, 8]], [[7, 2], [8, 2], [8, 8], [7, 8]]]
+    yard = Domain((0.0, 0.0, 10.0, 10.0), tuple(np.array(ring, dtype=float) for ring in rings))
+    np.testing.assert_array_equal(yard.distances(np.array([5.0, 5.0]), np.array([[1.0, 5.0]]), 100.0), [np.inf])

@@ -1,0 +1,159 @@
+"""Truths that the model cannot be: amis, the same with local corrections, and the floor.
+
+``python -m benchmarks.mismatch [overrides] [--truths T ...] [--seeds S ...] [--no-floor]`` prints a table.
+
+All beliefs of a truth and a seed are given the same readings, so that the estimation is compared and not the search:
+a drone that knows the truth flies to and fro through the true cloud. ``amis`` inside of ``local`` has the bits of
+``amis`` alone, so one run gives both. The floor is that of ``dafw.studies.floor``: what constant wind and diffusion
+reach at best.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from tqdm import tqdm
+
+from dafw.core.composition import compose, study_part
+from dafw.core.diagnostics import error_of
+from dafw.core.ensemble import Ensemble
+from dafw.core.experiment import study_from
+from dafw.core.space import Array
+from dafw.core.study import Study
+from dafw.plugins.observers.none import NoObserver
+from dafw.plugins.policies.stationary import Stationary
+from dafw.plugins.readings.listed import Listed
+from dafw.studies.floor import floor_of
+
+BELIEF = ("experiment=enie2d", "filter=local_amis", "pictures=false", "free=null")
+# One wind is solved for the truth: in full, because a reduced basis of its own would take longer.
+NEWTON = "truth.wind.solver=newton"
+GALERKIN = ("truth.transport.scheme=galerkin", "truth.transport.solver=iterative")
+TRUTHS: Mapping[str, tuple[str, ...]] = {
+    "none": (),
+    "changing_wind": (
+        "truth.wind_change.kind=prescribed",
+        "truth.wind_change.veer=0.2618",
+        "truth.wind_change.gust=0.2",
+    ),
+    "viscosity_doubled": (NEWTON, "truth.wind.viscosity=50"),
+    "viscosity_halved": (NEWTON, "truth.wind.viscosity=12.5"),
+    "finer_mesh": (
+        NEWTON,
+        *GALERKIN,
+        "truth.mesh.wall_size=5.5",
+        "truth.mesh.far_size=14",
+        "truth.mesh.transition=120",
+    ),
+    "galerkin": GALERKIN,
+    "release_off": ("truth.release=[272.1,86.1]",),
+    "amount_off": ("truth.source.amount=1.3",),
+    "sensor_lag": (),
+}
+LAG = {"sensor_lag": 5.0}
+"""Time constants of slow sensors, s."""
+WIDE, NEAR = 1.6, 10.0
+"""How far from the middle of the cloud the drone turns, in its standard deviations, and when it has arrived, in m."""
+
+
+def truth_of(study: Study) -> tuple[Array, Array]:
+    """Return the truth (T, n) after each cycle in the belief's state space, and its first variable (T, nodes)."""
+    parts, _ = study.prepare()
+    if parts.truth is None:
+        raise ValueError("the study has no truth")
+    streams, states = parts.streams, []
+    now = parts.truth.first_guess(1, streams.members("initial truth", 0))
+    for cycle in range(study.cycles):
+        now = parts.truth.forecast(now.ensemble, now.memory, streams.members("truth error", cycle))
+        seen = parts.seen(now)
+        states.append(np.empty(0) if seen is None else seen.members[0])
+    truth = np.array(states)
+    return truth, truth[:, study.model.space.slice(study.model.space.variables[0].name)]
+
+
+def route(fields: Array, nodes: Array, study: Study, rng: np.random.Generator, samples: int = 2) -> Array:
+    """Return the places (T, samples, 2) that a drone passes which flies to and fro through the true cloud."""
+    position, offset = np.array(study.start[0], dtype=np.float64), None
+    reach = study.speed * study.model.dt / samples
+    places = np.empty((len(fields), samples, 2))
+    for cycle, field in enumerate(fields):
+        gas = np.maximum(field, 0.0)
+        middle = gas @ nodes / gas.sum()
+        spread = np.sqrt(gas @ (nodes - middle) ** 2 / gas.sum())
+        if offset is None or np.linalg.norm(middle + offset - position) < NEAR:
+            offset = rng.uniform(-WIDE, WIDE, 2) * spread
+        for sample in range(samples):
+            way = middle + offset - position
+            position = position + way * min(1.0, reach / max(float(np.linalg.norm(way)), 1e-9))
+            places[cycle, sample] = position
+    return places
+
+
+def readings(fields: Array, study: Study, lag: float, sd: float = 1e-3) -> Listed:
+    """Return what the drone reads at the nodes nearest to its places; every node once a cycle."""
+    variable, rng = study.model.space.variables[0], np.random.default_rng([study.seed, 7])
+    nodes = np.asarray(variable.coordinates)
+    listed, shown = [], 0.0
+    for cycle, places in enumerate(route(fields, nodes, study, np.random.default_rng(study.seed))):
+        found = variable.nearest(places)
+        for number, node in enumerate(found):
+            met = fields[cycle, node]
+            shown = met + (shown - met) * np.exp(-study.model.dt / len(found) / lag) if lag else met
+            if node not in found[:number]:
+                value, (x, y) = shown + sd * rng.standard_normal(), nodes[node]
+                at = {"x": float(x), "y": float(y), "sd": sd}
+                listed.append({"time": (cycle + 1) * study.model.dt, "value": float(value), **at})
+    return Listed(readings=listed)
+
+
+@dataclass(frozen=True)
+class Result:
+    """ERR at the end in per cent, and the gas of both beliefs relative to the truth's (sums over the nodes)."""
+
+    amis: float
+    local: float
+    gas_amis: float
+    gas_local: float
+
+
+def compared(name: str, seed: int, overrides: Sequence[str]) -> Result:
+    """Return the result of one truth and one seed."""
+    study = study_from(study_part(compose([*BELIEF, *TRUTHS[name], *overrides, f"seed={seed}"])))
+    truth, fields = truth_of(study)
+    study.readings = readings(fields, study, LAG.get(name, 0.0))
+    study.truth, study.policy, study.observer, study.start = None, Stationary(), NoObserver(), ()
+    *_, last = tqdm(study, total=study.cycles, desc=f"{name}, seed {seed}", unit="cycle", disable=None, leave=False)
+    memory, belief = last.state.filter_memory or {}, last.belief
+    base = Ensemble(memory["members"], belief.space, weights=memory.get("weights"))
+    part = belief.space.slice(belief.space.variables[0].name)
+    errors = [error_of(belief.space, truth[-1], one.mean) for one in (base, belief)]
+    gas = [float(one.mean[part].sum() / fields[-1].sum()) for one in (base, belief)]
+    return Result(*errors, *gas)
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Run, print the table, and return the exit status."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.mismatch", description="Local corrections and floors.")
+    parser.add_argument("--truths", nargs="+", default=list(TRUTHS), choices=list(TRUTHS), help="which truths")
+    parser.add_argument("--seeds", nargs="+", type=int, default=[1000, 1001, 1002], help="seeds of route and belief")
+    parser.add_argument("--no-floor", action="store_true", help="do not search for the floors")
+    asked, overrides = parser.parse_known_args(words)
+    print("| truth | floor | amis | with local corrections | gas | gas, corrected |")
+    print("|---|---|---|---|---|---|")
+    for name in asked.truths:
+        floor = "-"
+        if not asked.no_floor:
+            made = compose([*BELIEF, *TRUTHS[name], *overrides])
+            floor = f"{floor_of(study_from(study_part(made))).err:.1f} %"
+        found = [compared(name, seed, overrides) for seed in asked.seeds]
+        columns = [", ".join(f"{getattr(one, key):.1f}" for one in found) + " %" for key in ("amis", "local")]
+        columns += [", ".join(f"{getattr(one, key):.2f}" for one in found) for key in ("gas_amis", "gas_local")]
+        print(f"| {name} | {floor} | " + " | ".join(columns) + " |", flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
