@@ -53,6 +53,10 @@ REDUCED = {
         f"dafw study literal {COARSE} {BASIS} --seeds 0 --configurations '*=0.2'",
         "one run with some 300 nodes, three members, one cycle, a basis of four winds",
     ),
+    r"^dafw study recommended.*": (
+        f"dafw study recommended {COARSE} {BASIS} --seeds 0 --configurations recommended",
+        "one run with some 300 nodes, three members, one cycle, a basis of four winds",
+    ),
     r"^dafw study tiny --seeds .*": (
         r"dafw study tiny cycles=5 --seeds 0-1 --configurations 'etkf*'",
         "the folder has runs of five cycles",
