@@ -68,7 +68,7 @@ REDUCED = {
         "the default study: a basis of four winds",
     ),
     FLAGSHIP: (rf"\g<0> {COARSE}", "some 300 nodes, three members, one cycle"),
-    r"python -m benchmarks (?!.*(over_|from_py))": (
+    r"python -m benchmarks (?!.*(over_dapper|from_py))": (
         f"{BENCHMARKS} --short ",
         "the values mean nothing, the command works",
     ),

@@ -173,6 +173,8 @@ class Study:
         self.observer.look(model.space, Route.hover(vehicle), 0.0)
         self.policy.suit(model.space)
         self.filter.suit(model.space, self.members)
+        if self.filter.weighs_first_guess:
+            model.require_log_first_guess()
         self.readings.suit(model.space, model.domain, model.dt)
         self._require_memory()
         parts = Parts(

@@ -42,7 +42,11 @@ MISFITS = {
     ("model", "policy"): {
         (model, policy): PLACES for model in ("linear_advection", "lorenz96") for policy in ("enie2d", "look_ahead")
     },
-    ("model", "filter"): {(model, "kalman"): "filter 'kalman'" for model in ("ad", "ad_ins")},  # bounded; N < n
+    ("model", "filter"): {
+        **{(model, "kalman"): "filter 'kalman'" for model in ("ad", "ad_ins")},  # bounded; N < n
+        **{("linear_advection", filter_): "how likely" for filter_ in ("amis", "smc", "local")},  # no density in R^n
+        ("lorenz96", "local"): "a variable with places",
+    },
 }
 """Parts that do not fit together, and the message of the refusal."""
 

@@ -104,7 +104,7 @@ def refused(words, capsys, message):
     [
         (["fly"], "unknown command 'fly'"),
         (["run", "filter=etfk"], "did you mean 'etkf'"),
-        (["run", "filter.inflatoin=1"], "accepted: inflation"),
+        (["run", "filter=etkf", "filter.inflatoin=1"], "accepted: inflation"),
         (["run", "-m", "filter=etkf,etfk"], "did you mean 'etkf'"),
         (["run", "--config-dir", "nowhere"], "no such folder"),
         (["run", "vehicle.start=[[1e6,0]]"], "vehicle 0 cannot start"),

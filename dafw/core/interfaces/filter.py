@@ -26,6 +26,8 @@ class Filter(Plugin):
     ``inflation_option`` names the option that is the factor on the anomalies; None if there is none, or if the
     filter's ``inflation`` means something else.
 
+    ``weighs_first_guess``: the filter needs to know how likely a first guess is (``Model.log_first_guess``).
+
     A filter that looks back defines ``analyse_window`` instead of ``analyse``. Its ``window`` is the number of cycles
     that it looks back over, the present one included; None: all since the start. ``past_beliefs`` says whether it
     needs the belief at the beginning of every cycle of the window, or (with ``window`` None) only that at the
@@ -47,6 +49,7 @@ class Filter(Plugin):
     smallest_ensemble: ClassVar[int] = 2
     accuracy: ClassVar[str] = "statistical"
     localization_option: ClassVar[str | None] = None
+    weighs_first_guess: bool = False
     inflation_option: ClassVar[str | None] = "inflation"
     past_beliefs: ClassVar[Literal["all", "first"]] = "all"
 

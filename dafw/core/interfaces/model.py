@@ -63,6 +63,11 @@ class Model(Plugin):
             f"log_first_guess(members)"
         )
 
+    def require_log_first_guess(self) -> None:
+        """Raise ConfigurationError if the model does not define ``log_first_guess``; called before a run begins."""
+        if type(self).log_first_guess is Model.log_first_guess:
+            self.log_first_guess(np.empty((0, 0)))
+
     def notes(self) -> list[str]:
         """Return sentences for the log about what the model was built from."""
         return []

@@ -62,6 +62,7 @@ class AMIS(Filter):
     """Weights samples of the unknown parameters, each with a run of the model since the start, and proposes better."""
 
     window = None  # all readings since the start: the samples are of the first guess
+    weighs_first_guess = True
     accuracy = "statistical"
     past_beliefs = "first"
     inflation_option = None

@@ -230,8 +230,8 @@ def without_repeats(shares: Array, size: int, offset: float) -> tuple[IntArray, 
         return np.arange(len(shares)), np.ones(len(shares))
     sure = np.zeros(len(shares), dtype=bool)
     while True:
-        rest = shares[~sure].sum()
-        scaled = shares * (size - sure.sum()) / rest if rest > 0.0 else np.zeros(len(shares))
+        left = np.where(sure, 0.0, shares)
+        scaled = (size - sure.sum()) * (left / max(left.sum(), np.finfo(float).tiny))
         more = ~sure & (scaled >= 1.0)
         if not more.any():
             break

@@ -61,6 +61,7 @@ NOISE = 0.1
 class SMC(Filter):
     """Members are weighted; where the weights are degenerate they are resampled and moved, each with a new run."""
 
+    weighs_first_guess = True
     accuracy = "statistical"
     window = None
     past_beliefs = "first"

@@ -92,6 +92,14 @@ class Lorenz96(Model):
         centre = spun_up(self.size, self.forcing, self.dt, self.spinup)
         return centre + self.first_guess_sd * rng.standard_normal((n_members, self.size))
 
+    def log_first_guess(self, members: Array) -> Array:
+        """Return the log density (N,) of normal distributions about the spun-up state."""
+        if self.first_guess_sd == 0.0:
+            return np.zeros(len(members))
+        misfit = (members - spun_up(self.size, self.forcing, self.dt, self.spinup)) / self.first_guess_sd
+        constant = self.size * np.log(self.first_guess_sd * np.sqrt(2.0 * np.pi))
+        return np.asarray(-0.5 * np.einsum("ij,ij->i", misfit, misfit) - constant)
+
     def step(self, members: Array, t: float, rng: MemberStreams) -> Array:
         """Return the members (N, n) at t + dt."""
         # With the members on the last axis neighbours are whole rows, which is twice as fast.
