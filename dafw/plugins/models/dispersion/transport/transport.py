@@ -28,10 +28,11 @@ SYSTEMS_BYTES = 2e9
 """About how much memory, in bytes, the systems of all members may take in one process."""
 
 BYTES_PER_ENTRY = {"iterative": 100, "direct": 100}
-"""Memory of one system in bytes per entry of its matrix, by solver; flux-corrected transport has another 100.
+"""Memory of one system in bytes per entry of its matrix, by solver; an iterative one has another 100 with ``fct``.
 
 Measured, iterative: 40 after weak winds alone (ILU(0)), 70 to 110 after medium winds, too (ILU(1)), 100 after strong
-winds alone (LU), 160 after winds of all kinds. Direct: 60 on 2,715 nodes, 90 on 10,045.
+winds alone (LU), 160 after winds of all kinds. Direct: 60 on 2,715 nodes, 90 on 10,045; with ``fct``, whose two
+matrices share their indices, 80 and 110.
 """
 
 LEAST_KEPT = 64
@@ -82,7 +83,8 @@ class Transport:
     def systems_kept(self, members: int) -> int:
         """Return how many systems a process keeps if it steps so many members together; the same on all ranks."""
         options = self.matrices.options
-        per_entry = BYTES_PER_ENTRY[options.solver] + (BYTES_PER_ENTRY["direct"] if options.scheme == "fct" else 0)
+        separate = options.scheme == "fct" and options.solver == "iterative"
+        per_entry = BYTES_PER_ENTRY[options.solver] + (BYTES_PER_ENTRY["direct"] if separate else 0)
         affordable = int(SYSTEMS_BYTES / (per_entry * self._entries))
         return max(1, min(affordable, max(LEAST_KEPT, 2 * members)))
 
@@ -163,8 +165,9 @@ class Transport:
 
     def _new_system(self) -> System:
         options = self.matrices.options
-        plain = TransportSystem(self.matrices) if options.solver == "iterative" else DirectSystem(self._direct)
-        return FluxCorrectedSystem(self.matrices, plain) if options.scheme == "fct" else plain
+        if options.scheme == "fct":
+            return FluxCorrectedSystem(self.matrices)
+        return TransportSystem(self.matrices) if options.solver == "iterative" else DirectSystem(self._direct)
 
     @cached_property
     def _direct(self) -> DirectTransport:

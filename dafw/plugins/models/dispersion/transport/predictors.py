@@ -1,0 +1,77 @@
+"""The two solutions that a flux-corrected step is made of, Galerkin's and that of low order (flux_corrected.py)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from dafw.core.errors import SolverError
+from dafw.plugins.models.dispersion.fem.paired_lu import PairedLU
+from dafw.plugins.models.dispersion.fem.sparse_lu import SparseLU
+from dafw.plugins.models.dispersion.transport.matrices import TransportMatrices
+from dafw.plugins.models.dispersion.transport.system import TransportSystem
+
+
+class DirectPredictors:
+    """``solver: direct``: both matrices are factorised together."""
+
+    def __init__(self, matrices: TransportMatrices, lumped: np.ndarray):
+        """Prepare the systems.
+
+        Args:
+            matrices: those of the transport.
+            lumped: (nodes,) lumped mass over the time step, zero at fixed nodes.
+        """
+        self._matrices, self._lumped = matrices, lumped
+        self._factors = PairedLU(matrices.elimination)
+        self._before: Any = None
+
+    def change(self, added: np.ndarray, before: Any, low_order: np.ndarray) -> None:
+        """Set the systems to those of another wind.
+
+        Args:
+            added: (z,) CSR values that the wind adds to Galerkin's matrix on the new concentration.
+            before: the SciPy matrix on the old concentration.
+            low_order: (z,) CSR values of the matrix of low order.
+
+        Raises SolverError if a matrix is singular or cannot be factorised without pivoting.
+        """
+        self._before = before
+        try:
+            self._factors.factorise(self._matrices.after(added, np.empty(added.size)), low_order)
+        except SolverError as error:
+            raise SolverError(f"transport: {error}; use transport.solver=iterative") from error
+
+    def solve(self, concentration: np.ndarray, source: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+        """Return Galerkin's solution and that of low order at the end of a step, (nodes,) each.
+
+        Args:
+            concentration: (nodes,) at the start of the step.
+            source: (nodes,) rate f at the end of the step, in concentration per second; None is no source.
+
+        Raises ContractError if an array has another shape, and SolverError if a result is not finite.
+        """
+        supplied = self._matrices.supplied(concentration, source)
+        given = self._before @ supplied
+        given[self._matrices.fixed] = 0.0
+        return self._factors.solve(given, self._lumped * supplied)
+
+
+class IterativePredictors:
+    """``solver: iterative`` for Galerkin's solution; that of low order has a factorisation of its own."""
+
+    def __init__(self, matrices: TransportMatrices, lumped: np.ndarray):
+        """Prepare the systems; the arguments are those of ``DirectPredictors``."""
+        self._matrices, self._lumped = matrices, lumped
+        self._galerkin, self._low_order = TransportSystem(matrices), SparseLU(matrices.elimination)
+
+    def change(self, added: np.ndarray, before: Any, low_order: np.ndarray) -> None:
+        """Set the systems to those of another wind; arguments and errors are those of ``DirectPredictors``."""
+        self._galerkin.change(added, before)
+        self._low_order.factorise(low_order)
+
+    def solve(self, concentration: np.ndarray, source: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+        """Return both solutions; arguments and errors are those of ``DirectPredictors``."""
+        high = self._galerkin.step(concentration, source)
+        return high, self._low_order.solve(self._lumped * self._matrices.supplied(concentration, source))
