@@ -29,19 +29,28 @@ from dafw.plugins.models.dispersion.transport.limiter import corrected
 from dafw.plugins.models.dispersion.transport.low_order import low_order
 from dafw.plugins.models.dispersion.transport.matrices import TransportMatrices
 from dafw.plugins.models.dispersion.transport.predictors import DirectPredictors, IterativePredictors
+from dafw.plugins.models.dispersion.transport.system import TransportSystem
 
 
 class FluxCorrectedSystem:
     """The systems of a step in one wind, Galerkin's and that of low order; ``Transport.system`` makes it."""
 
-    def __init__(self, matrices: TransportMatrices):
+    def __init__(self, matrices: TransportMatrices, galerkin: TransportSystem | None):
+        """Prepare the system.
+
+        Args:
+            matrices: those of the transport.
+            galerkin: the system of Galerkin's step, which nothing else uses; None is ``solver: direct``.
+        """
         self._matrices = matrices
         mass = matrices.before.data * matrices.dt
         self._mass: np.ndarray = np.add.reduceat(mass, matrices.row_starts)
         self._free = np.ones(matrices.nodes, dtype=bool)
         self._free[matrices.fixed] = False
-        kind = DirectPredictors if matrices.options.solver == "direct" else IterativePredictors
-        self._predictors = kind(matrices, np.where(self._free, self._mass / matrices.dt, 0.0))
+        lumped = np.where(self._free, self._mass / matrices.dt, 0.0)
+        self._predictors = (
+            DirectPredictors(matrices, lumped) if galerkin is None else IterativePredictors(matrices, lumped, galerkin)
+        )
         # The entries of every edge and the numbers of every node that the limiter reads (limiter.py).
         self._entries, self._nodal = np.zeros((3, matrices.edges.second.size)), np.zeros((3, matrices.nodes))
         self._entries[0], self._nodal[0] = mass[matrices.edges.there], self._mass

@@ -10,7 +10,6 @@ from dafw.core.errors import SolverError
 from dafw.plugins.models.dispersion.fem.paired_lu import PairedLU
 from dafw.plugins.models.dispersion.fem.sparse_lu import SparseLU
 from dafw.plugins.models.dispersion.transport.matrices import TransportMatrices
-from dafw.plugins.models.dispersion.transport.system import TransportSystem
 
 
 class DirectPredictors:
@@ -61,10 +60,16 @@ class DirectPredictors:
 class IterativePredictors:
     """``solver: iterative`` for Galerkin's solution; that of low order has a factorisation of its own."""
 
-    def __init__(self, matrices: TransportMatrices, lumped: np.ndarray):
-        """Prepare the systems; the arguments are those of ``DirectPredictors``."""
+    def __init__(self, matrices: TransportMatrices, lumped: np.ndarray, galerkin: Any):
+        """Prepare the systems.
+
+        Args:
+            matrices: as for ``DirectPredictors``.
+            lumped: as for ``DirectPredictors``.
+            galerkin: the ``TransportSystem`` of Galerkin's step, which nothing else uses.
+        """
         self._matrices, self._lumped = matrices, lumped
-        self._galerkin, self._low_order = TransportSystem(matrices), SparseLU(matrices.elimination)
+        self._galerkin, self._low_order = galerkin, SparseLU(matrices.elimination)
 
     def change(self, added: np.ndarray, before: Any, low_order: np.ndarray) -> None:
         """Set the systems to those of another wind; arguments and errors are those of ``DirectPredictors``."""

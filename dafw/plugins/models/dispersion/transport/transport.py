@@ -165,9 +165,10 @@ class Transport:
 
     def _new_system(self) -> System:
         options = self.matrices.options
+        iterative = TransportSystem(self.matrices) if options.solver == "iterative" else None
         if options.scheme == "fct":
-            return FluxCorrectedSystem(self.matrices)
-        return TransportSystem(self.matrices) if options.solver == "iterative" else DirectSystem(self._direct)
+            return FluxCorrectedSystem(self.matrices, iterative)
+        return iterative or DirectSystem(self._direct)
 
     @cached_property
     def _direct(self) -> DirectTransport:
