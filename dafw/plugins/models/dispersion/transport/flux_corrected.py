@@ -97,7 +97,7 @@ class FluxCorrectedSystem:
         Raises SolverError if Galerkin's step cannot be solved, and ContractError if an array has another shape.
         """
         matrices, edges = self._matrices, self._matrices.edges
-        high, low = self._predictors.solve(concentration, source)
-        # A copy, because for an array that is read-only or has gaps numba would compile the limiter again.
-        supplied = concentration.copy() if source is None else concentration + matrices.dt * source
+        # A copy, because for an array that is read-only or has gaps numba would compile its functions again.
+        supplied = matrices.supplied(concentration, source).copy()
+        high, low = self._predictors.solve(supplied, concentration, source)
         return corrected(edges.starts, edges.second, self._entries, self._nodal, self._free, high, low, supplied)

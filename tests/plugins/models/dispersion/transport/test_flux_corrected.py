@@ -151,7 +151,7 @@ def into(edges, flux):
 def parts_of_a_step(transport, wind, cloud):
     """The solutions of high and of low order, and what else the limiter is given, without the source."""
     system = transport.system(wind)
-    return *system._predictors.solve(cloud, None), system._entries, system._nodal
+    return *system._predictors.solve(cloud, cloud, None), system._entries, system._nodal
 
 
 @RIMS
@@ -327,7 +327,7 @@ def test_the_matrix_of_low_order_is_what_the_equations_say(block, around_block):
     mass = np.asarray(matrices.before.sum(axis=1)).ravel()
     np.fill_diagonal(expected, mass + leaving - expected.sum(axis=0))
     cloud = bell(matrices.places, [20.0, 52.0], 4.0)
-    _, low = transport.system(around_block)._predictors.solve(cloud, None)
+    _, low = transport.system(around_block)._predictors.solve(cloud, cloud, None)
     np.testing.assert_allclose(expected @ low, mass * cloud, atol=1e-12)
 
 
