@@ -8,14 +8,13 @@ Gioia et al. 2024, equations (AD) and (W-AD), doi:10.1109/SDF63218.2024.10773899
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from dafw.plugins.models.dispersion.fem.sparsity import total
 from dafw.plugins.models.dispersion.mesh.tagged import TaggedMesh
 from dafw.plugins.models.dispersion.transport.direct import DirectSystem, DirectTransport
-from dafw.plugins.models.dispersion.transport.flux_corrected import FluxCorrectedSystem
 from dafw.plugins.models.dispersion.transport.matrices import TransportMatrices
 from dafw.plugins.models.dispersion.transport.options import TransportOptions
 from dafw.plugins.models.dispersion.transport.system import TransportSystem
@@ -23,6 +22,9 @@ from dafw.plugins.models.dispersion.transport.system import TransportSystem
 # isort: split
 import ufl
 from dolfinx import fem
+
+if TYPE_CHECKING:
+    from dafw.plugins.models.dispersion.transport.flux_corrected import FluxCorrectedSystem
 
 SYSTEMS_BYTES = 2e9
 """About how much memory, in bytes, the systems of all members may take in one process."""
@@ -167,6 +169,9 @@ class Transport:
         options = self.matrices.options
         iterative = TransportSystem(self.matrices) if options.solver == "iterative" else None
         if options.scheme == "fct":
+            # Here, because it imports numba, which takes most of a second.
+            from dafw.plugins.models.dispersion.transport.flux_corrected import FluxCorrectedSystem
+
             return FluxCorrectedSystem(self.matrices, iterative)
         return iterative or DirectSystem(self._direct)
 
