@@ -91,4 +91,4 @@ def over_stepping_10k(short: bool) -> Measurement:
 @benchmark("rerun.fct_over_stepping_2k7")
 def fct_over_stepping_2k7(short: bool) -> Measurement:
     """The same on 2,715 nodes with flux-corrected transport and an open boundary."""
-    return _case(short, "enie2d_literal", 2.0, "model.transport.scheme=fct", "model.transport.outflow=open")
+    return _case(short, "enie2d_literal", 3.0, "model.transport.scheme=fct", "model.transport.outflow=open")

@@ -46,7 +46,9 @@ def rotation(short: bool) -> Measurement:
         cloud, lowest, highest = bodies(*places.T), 0.0, 0.0
         begun = time.process_time()
         for _ in range(steps):
-            cloud = system._solve_low(mass / dt * cloud) if scheme == "low order" else system.step(cloud)
+            cloud = (
+                system._predictors._low_order.solve(mass / dt * cloud) if scheme == "low order" else system.step(cloud)
+            )
             lowest, highest = min(lowest, cloud.min()), max(highest, cloud.max())
         seconds = time.process_time() - begun
         found = {"lowest": lowest, "highest": highest, "ms_per_step": 1e3 * seconds / steps}

@@ -25,55 +25,56 @@ from typing import Any
 
 import numpy as np
 
-from dafw.plugins.models.dispersion.fem.sparse_lu import SparseLU
-from dafw.plugins.models.dispersion.transport.direct import DirectSystem
 from dafw.plugins.models.dispersion.transport.limiter import corrected
+from dafw.plugins.models.dispersion.transport.low_order import low_order
 from dafw.plugins.models.dispersion.transport.matrices import TransportMatrices
+from dafw.plugins.models.dispersion.transport.predictors import DirectPredictors, IterativePredictors
 from dafw.plugins.models.dispersion.transport.system import TransportSystem
 
 
 class FluxCorrectedSystem:
     """The systems of a step in one wind, Galerkin's and that of low order; ``Transport.system`` makes it."""
 
-    def __init__(self, matrices: TransportMatrices, galerkin: TransportSystem | DirectSystem):
+    def __init__(self, matrices: TransportMatrices, galerkin: TransportSystem | None):
         """Prepare the system.
 
         Args:
             matrices: those of the transport.
-            galerkin: the system of Galerkin's step, which nothing else uses.
+            galerkin: the system of Galerkin's step, which nothing else uses; None is ``solver: direct``.
         """
-        self._matrices, self._galerkin = matrices, galerkin
+        self._matrices = matrices
         mass = matrices.before.data * matrices.dt
         self._mass: np.ndarray = np.add.reduceat(mass, matrices.row_starts)
         self._free = np.ones(matrices.nodes, dtype=bool)
         self._free[matrices.fixed] = False
-        self._low_order = SparseLU(matrices.elimination)
-        self._solve_low = self._low_order.solve
-        # The entries of every edge and the numbers of every node that the limiter reads, in its order.
-        self._entries = np.tile(mass[matrices.edges.there], (3, 1))
-        self._nodal = np.tile(self._mass, (3, 1))
+        lumped = np.where(self._free, self._mass / matrices.dt, 0.0)
+        self._predictors = (
+            DirectPredictors(matrices, lumped) if galerkin is None else IterativePredictors(matrices, lumped, galerkin)
+        )
+        # The entries of every edge and the numbers of every node that the limiter reads (limiter.py).
+        self._entries, self._nodal = np.zeros((3, matrices.edges.second.size)), np.zeros((3, matrices.nodes))
+        self._entries[0], self._nodal[0] = mass[matrices.edges.there], self._mass
 
     def change(self, added: np.ndarray, before: Any) -> None:
         """Set the system to that of another wind; the arguments are those of ``TransportSystem.change``."""
-        self._galerkin.change(added, before)
-        matrices, edges, free = self._matrices, self._matrices.edges, self._free
-        operator = added + (matrices.calm - matrices.before.data)
-        there, back = operator[edges.there], operator[edges.back]
-        self._entries[1:] = matrices.dt * there, matrices.dt * back
-        diffusion = np.maximum(np.maximum(there, back), 0.0)
-        there, back = there - diffusion, back - diffusion
-        leaving = np.zeros(matrices.nodes)
+        matrices, edges = self._matrices, self._matrices.edges
         if matrices.options.outflow == "open":
-            leaving[matrices.outer] = np.maximum(matrices.outward(added), 0.0)
-        values = np.zeros(operator.size)
-        values[edges.there], values[edges.back] = there, back
-        values[matrices.diagonal] = self._mass / matrices.dt + leaving - edges.sums(back, there)
-        values[matrices.fixed_entries] = 0.0
-        values[matrices.fixed_diagonal] = 1.0
-        self._low_order.factorise(values)
-        # Nodes where the concentration is zero take what their neighbours lose to them.
-        taken = -edges.sums(np.where(free[edges.second], 0.0, back), np.where(free[edges.first], 0.0, there))
-        self._nodal[1:] = matrices.dt * leaving, matrices.dt * taken
+            self._nodal[1, matrices.outer] = matrices.dt * np.maximum(matrices.outward(added), 0.0)
+        operator = matrices.calm - matrices.before.data
+        operator += added
+        values = low_order(
+            edges.starts,
+            edges.second,
+            edges.there,
+            edges.back,
+            matrices.diagonal,
+            operator,
+            matrices.dt,
+            self._free,
+            self._nodal,
+            self._entries,
+        )
+        self._predictors.change(added, before, values)
 
     def step(self, concentration: np.ndarray, source: np.ndarray | None = None) -> np.ndarray:
         """Return the concentration (nodes,) one time step later; arguments and errors are as for ``balanced_step``."""
@@ -96,8 +97,7 @@ class FluxCorrectedSystem:
         Raises SolverError if Galerkin's step cannot be solved, and ContractError if an array has another shape.
         """
         matrices, edges = self._matrices, self._matrices.edges
-        high = self._galerkin.step(concentration, source)
-        # A copy, because for an array that is read-only or has gaps numba would compile the limiter again.
-        supplied = concentration.copy() if source is None else concentration + matrices.dt * source
-        low = self._solve_low(np.where(self._free, self._mass / matrices.dt * supplied, 0.0))
-        return corrected(edges.starts, edges.ends, self._entries, self._nodal, self._free, high, low, supplied)
+        # A copy, because for an array that is read-only or has gaps numba would compile its functions again.
+        supplied = matrices.supplied(concentration, source).copy()
+        high, low = self._predictors.solve(supplied, concentration, source)
+        return corrected(edges.starts, edges.second, self._entries, self._nodal, self._free, high, low, supplied)

@@ -8,14 +8,13 @@ Gioia et al. 2024, equations (AD) and (W-AD), doi:10.1109/SDF63218.2024.10773899
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from dafw.plugins.models.dispersion.fem.sparsity import total
 from dafw.plugins.models.dispersion.mesh.tagged import TaggedMesh
 from dafw.plugins.models.dispersion.transport.direct import DirectSystem, DirectTransport
-from dafw.plugins.models.dispersion.transport.flux_corrected import FluxCorrectedSystem
 from dafw.plugins.models.dispersion.transport.matrices import TransportMatrices
 from dafw.plugins.models.dispersion.transport.options import TransportOptions
 from dafw.plugins.models.dispersion.transport.system import TransportSystem
@@ -24,14 +23,18 @@ from dafw.plugins.models.dispersion.transport.system import TransportSystem
 import ufl
 from dolfinx import fem
 
+if TYPE_CHECKING:
+    from dafw.plugins.models.dispersion.transport.flux_corrected import FluxCorrectedSystem
+
 SYSTEMS_BYTES = 2e9
 """About how much memory, in bytes, the systems of all members may take in one process."""
 
 BYTES_PER_ENTRY = {"iterative": 100, "direct": 100}
-"""Memory of one system in bytes per entry of its matrix, by solver; flux-corrected transport has another 100.
+"""Memory of one system in bytes per entry of its matrix, by solver; an iterative one has another 100 with ``fct``.
 
 Measured, iterative: 40 after weak winds alone (ILU(0)), 70 to 110 after medium winds, too (ILU(1)), 100 after strong
-winds alone (LU), 160 after winds of all kinds. Direct: 60 on 2,715 nodes, 90 on 10,045.
+winds alone (LU), 160 after winds of all kinds. Direct: 60 on 2,715 nodes, 90 on 10,045; with ``fct``, whose two
+matrices share their indices, 80 and 110.
 """
 
 LEAST_KEPT = 64
@@ -82,7 +85,8 @@ class Transport:
     def systems_kept(self, members: int) -> int:
         """Return how many systems a process keeps if it steps so many members together; the same on all ranks."""
         options = self.matrices.options
-        per_entry = BYTES_PER_ENTRY[options.solver] + (BYTES_PER_ENTRY["direct"] if options.scheme == "fct" else 0)
+        separate = options.scheme == "fct" and options.solver == "iterative"
+        per_entry = BYTES_PER_ENTRY[options.solver] + (BYTES_PER_ENTRY["direct"] if separate else 0)
         affordable = int(SYSTEMS_BYTES / (per_entry * self._entries))
         return max(1, min(affordable, max(LEAST_KEPT, 2 * members)))
 
@@ -163,8 +167,13 @@ class Transport:
 
     def _new_system(self) -> System:
         options = self.matrices.options
-        plain = TransportSystem(self.matrices) if options.solver == "iterative" else DirectSystem(self._direct)
-        return FluxCorrectedSystem(self.matrices, plain) if options.scheme == "fct" else plain
+        iterative = TransportSystem(self.matrices) if options.solver == "iterative" else None
+        if options.scheme == "fct":
+            # Here, because it imports numba, which takes most of a second.
+            from dafw.plugins.models.dispersion.transport.flux_corrected import FluxCorrectedSystem
+
+            return FluxCorrectedSystem(self.matrices, iterative)
+        return iterative or DirectSystem(self._direct)
 
     @cached_property
     def _direct(self) -> DirectTransport:
