@@ -78,7 +78,7 @@ class SMC(Filter):
         0.5, "effective sample size, per member, below which members are moved", above=0.0, maximum=1.0
     )
     refresh: int | None = option(
-        5, "cycles after which members are moved even if the weights are not degenerate; null: never", minimum=1
+        2, "cycles after which members are moved even if the weights are not degenerate; null: never", minimum=1
     )
     sweeps: int = option(3, "Metropolis steps of every member at each power of the likelihood", minimum=1)
     fresh: float = option(0.3, "share of proposals that are drawn from the first guess", minimum=0.0, maximum=1.0)
