@@ -7,6 +7,7 @@ from them (``Model.settled``). In a model without single numbers, such as Lorenz
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import product
 
 import numpy as np
 
@@ -16,7 +17,8 @@ from dafw.core.space import ANGLE, NONNEGATIVE, POSITIVE, Array, IntArray, State
 
 SMALLEST = 1e-12
 """Numbers that must not be negative are at least this much in coordinates, where their logarithm is taken."""
-WRAPS = 2.0 * np.pi * np.array([-1.0, 0.0, 1.0])
+WRAPS = (0.0, 2.0 * np.pi, -2.0 * np.pi)
+"""Turns after which an angle is the same: a density that is drawn from without wrapping is summed over them."""
 
 
 class Controls:
@@ -86,3 +88,9 @@ class Controls:
         offset: Array = np.subtract(coordinates, centre)
         offset[..., self._angles] = np.mod(offset[..., self._angles] + np.pi, 2.0 * np.pi) - np.pi
         return offset
+
+    def turns(self) -> Array:
+        """Return the steps (3^a, k) by whole turns of each of the a angles; the first is no step at all."""
+        turns = np.zeros((len(WRAPS) ** len(self._angles), len(self)))
+        turns[:, self._angles] = list(product(WRAPS, repeat=len(self._angles)))
+        return turns

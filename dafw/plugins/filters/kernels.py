@@ -5,7 +5,8 @@ The density of one proposal is the mean over its centres c and the widths h of :
     t_5(z; c, h^2 C)
 
 a multivariate t distribution of five degrees of freedom with location c and scale matrix h^2 C, whose heavy tails keep
-the weights of importance sampling bounded. Angles wrap.
+the weights of importance sampling bounded. Angles wrap: what is drawn a turn away counts here, so that the density
+integrates to one.
 """
 
 from __future__ import annotations
@@ -82,19 +83,21 @@ class Kernels:
         if not n_proposals or self.controls is None:
             return np.empty((0, len(coordinates)))
         offset = self.controls.offset(coordinates[:, np.newaxis], self.centres[:, np.newaxis])  # (B, P, c, k)
-        inverse = np.linalg.inv(self.factors)
-        whitened = np.einsum("bij,bpcj->bpci", inverse, offset)
-        distance = np.einsum("bpci,bpci->bpc", whitened, whitened)
+        # A sample that is a centre itself is left to the other kernels; a single centre counts all the same.
+        others = (offset != 0.0).any(axis=3)
+        others |= ~others.any(axis=2, keepdims=True)
         constant = lgamma(0.5 * (DEGREES + k)) - lgamma(0.5 * DEGREES) - 0.5 * k * log(DEGREES * pi)
         volume = np.log(np.diagonal(self.factors, axis1=1, axis2=2)).sum(axis=1)[:, np.newaxis]
-        # A sample that is a centre itself is left to the other kernels; a single centre counts all the same.
-        others = distance > 0.0
-        others |= ~others.any(axis=2, keepdims=True)
-        parts = [
-            np.where(others, -0.5 * (DEGREES + k) * np.log1p(distance / (DEGREES * width**2)), -np.inf)
-            - k * np.log(width)
-            for width in WIDTHS
-        ]
+        inverse = np.linalg.inv(self.factors)
+        parts = []
+        for turn in self.controls.turns():
+            whitened = np.einsum("bij,bpcj->bpci", inverse, offset + turn)
+            distance = np.einsum("bpci,bpci->bpc", whitened, whitened)
+            parts += [
+                np.where(others, -0.5 * (DEGREES + k) * np.log1p(distance / (DEGREES * width**2)), -np.inf)
+                - k * np.log(width)
+                for width in WIDTHS
+            ]
         kernels = np.logaddexp.reduce(np.concatenate(parts, axis=2), axis=2) - np.log(len(WIDTHS) * others.sum(axis=2))
         return np.asarray(kernels + constant - volume)
 

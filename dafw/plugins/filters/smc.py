@@ -6,7 +6,8 @@ Since then new readings have changed L, and the weights are ::
 
     w(z) = p(z) L(z) / q(z),    q(z) = p(z) L_then(z)^b
 
-If their effective sample size falls below a share ``enough`` of the members, then until it does not:
+If their effective sample size falls below a share ``enough`` of the members, then until it does not (and once, every
+``refresh`` cycles, in any case, so that members that agree with each other do not stay where they are for ever):
 
 1. *Temper.* The next target is p L^b with the largest power b <= 1 for which the weights p L^b / q have the wanted
    effective size; or, if none has, the power with the largest.
@@ -77,6 +78,9 @@ class SMC(Filter):
     enough: float = option(
         0.5, "effective sample size, per member, below which members are moved", above=0.0, maximum=1.0
     )
+    refresh: int | None = option(
+        2, "cycles after which members are moved even if the weights are not degenerate; null: never", minimum=1
+    )
     sweeps: int = option(3, "Metropolis steps of every member at each power of the likelihood", minimum=1)
     fresh: float = option(0.3, "share of proposals that are drawn from the first guess", minimum=0.0, maximum=1.0)
 
@@ -97,18 +101,22 @@ class SMC(Filter):
         size, n_cycles = len(ensemble), len(window.cycles)
         moves = Moves(self, window, rng)
         members = self._known(window, moves.controls, size, rng)
-        power = 1.0
+        moved = number + 1 if window.memory is None else int(window.memory["moved"])
+        power, is_due = 1.0, self.refresh is not None and number + 1 - moved >= self.refresh
         while True:
             log_base = members.log_prior - members.log_proposal
             fit = self.likelihood.averaged(members.fit)
             weights = normalized(log_base + fit)
-            if effective_size(weights) >= self.enough * size or moves.left < n_cycles:
+            is_degenerate = effective_size(weights) < self.enough * size
+            if not (is_degenerate or is_due) or moves.left < n_cycles:
                 break
             power = next_power(log_base, fit, self.enough * size)
             members = moves.made(members, normalized(log_base + power * fit), power)
+            moved, is_due = number + 1, False
         still = np.zeros(ensemble.space.size)
         belief = ensemble.space.retract(members.now.ensemble.members, still)
         done = {"done": np.array(number + 1), "seen": np.array(readings_before(window, number + 1))}
+        done |= {"moved": np.array(moved)}
         of_sizes = np.exp(members.fit - np.logaddexp.reduce(members.fit, axis=1, keepdims=True))
         absolute, relative = (weights @ of_sizes) @ self.likelihood.sizes
         named: dict[str, tuple[Any, str]] = {
