@@ -8,7 +8,9 @@ import pytest
 from dafw import Domain, Model, StateSpace, Study, Variable
 from dafw.authoring.problems import linear_problem
 from dafw.authoring.small_study import study_of
+from dafw.core.composition import compose, study_part
 from dafw.core.errors import ConfigurationError, PluginError
+from dafw.core.options import merged
 from dafw.core.registry import registry
 from dafw.core.space import NONNEGATIVE, POSITIVE
 from dafw.plugins.filters.local import Local, gaspari_cohn
@@ -173,3 +175,11 @@ def test_the_function_of_gaspari_and_cohn():
     # On a line its matrix is a covariance: no eigenvalue is negative.
     matrix = gaspari_cohn(np.abs(np.subtract.outer(4.0 * r, 4.0 * r)))
     assert np.linalg.eigvalsh(matrix).min() > -1e-10
+
+
+def test_the_recommended_amis_is_the_base_of_the_preset():
+    recommended, corrected = (study_part(compose(words))["filter"] for words in ([], ["filter=local_amis"]))
+    base = corrected["base"]
+    assert corrected["name"] == "local" and base["name"] == recommended["name"] == "amis"
+    whole = merged(study_part(compose(["filter=amis"]))["filter"], base)
+    assert whole == recommended
