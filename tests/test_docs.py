@@ -72,6 +72,10 @@ REDUCED = {
         f"{BENCHMARKS} --short ",
         "the values mean nothing, the command works",
     ),
+    r"python -m benchmarks\.mismatch.*$": (
+        f"{BENCHMARKS}.mismatch cycles=2 members=3 {MESH} {BASIS} --truths amount_off --seeds 1000",
+        "one truth, one seed, two cycles, the mesh and the basis above",
+    ),
     r"python -m benchmarks(?=\.curves)": (f"{BENCHMARKS}", "the benchmarks are in the clone"),
     r"--seeds 0 1 2 3 4": (f"--seeds 0 --cycles 1 {MESH} {BASIS}", "one seed, one cycle, the mesh and the basis above"),
     r"python -m benchmarks(?=\.growth)": (f"{BENCHMARKS}", "the benchmarks are in the clone"),

@@ -19,6 +19,14 @@ rho is the function of Gaspari and Cohn (1999, Eq. 4.10, doi:10.1002/qj.49712555
 the two places; it is zero from ``radius`` on. By the last line the integral of the field changes by no more than the
 readings say: by the sum of |d_k| times the integrals of rho. Where no member has gas, none is made.
 
+A correction has to prove itself. Before the readings change it, e is multiplied by the share a that they confirm ::
+
+    a = (1 + sum_k (y_k - mean h_ik(b)) u_k / r_k) / (1 + sum_k u_k^2 / r_k), at least 0 and at most 1
+    u_k = mean h_ik(c) - mean h_ik(b)
+
+that is, by a least-squares fit with one assumed confirmation. So what was corrected while the base was still wrong is
+dropped once the base is right.
+
 The scale s^2 says how much larger the model's error is than the members' spread. It is estimated from the innovations
 of the past cycles, with v_k = cov(h_k, h_k) and all that is not the members' in r_k = S_kk - s^2 v_k ::
 
@@ -42,8 +50,9 @@ from dafw.core.errors import ConfigurationError
 from dafw.core.interfaces import Filter
 from dafw.core.options import option
 from dafw.core.registry import registry
-from dafw.core.space import FIELD, NONNEGATIVE, Array, StateSpace, Variable
+from dafw.core.space import FIELD, NONNEGATIVE, Array, IntArray, StateSpace, Variable
 from dafw.core.window import Window
+from dafw.plugins.filters.localization import gaspari_cohn, not_negative
 
 BASE, MODEL = "base ", "model "
 """Prefixes, in the memory, of the base's memory and of the model's memory of its members."""
@@ -105,7 +114,10 @@ class Local(Filter):
         correction = np.zeros(space.size)
         part = space.slice(self._variable(space).name)
         correction[part] = corrected.average(corrected.members[:, part] - forecast.ensemble.members[:, part])
-        now = corrected.with_members(space.retract(base.members, correction), base.weights)
+        plain = corrected.with_members(base.members, base.weights)
+        confirmed = self._confirmed(window, plain, correction)
+        correction *= confirmed
+        now = plain.with_members(space.retract(base.members, correction), base.weights)
         sums = np.array([0.0, 1.0])  # of the fraction that is s^2
         if "sums" in memory:
             sums = sums + np.exp((memory["time"] - time) / self.forgetting) * (memory["sums"] - sums)
@@ -122,6 +134,7 @@ class Local(Filter):
         diagnostics = {
             **base.diagnostics,
             "local_factor": Diagnostic(factor, long_name="factor on the members' spread in the local correction"),
+            "local_confirmed": Diagnostic(confirmed, long_name="share of the past correction that readings confirm"),
             "local_correction": Diagnostic(added, long_name="sum over nodes of the local correction's absolute value"),
         }
         return replace(base, members=members, memory=kept, model_memory=model_memory, diagnostics=diagnostics)
@@ -161,25 +174,44 @@ class Local(Filter):
         inner = replace(window, forecast=forecast, predicted=predicted, memory=of_base)
         return self._base.look_back(inner, rng)
 
+    def _readings(self, window: Window, belief: Ensemble) -> tuple[IntArray, Array, Array]:
+        """Return which readings (m,) have a place, what the members of a belief predict for them (N, m), and R (m, m).
+
+        R includes the errors that are not corrected.
+        """
+        seen, operator = window.observation, window.observation.operator
+        places = np.empty((seen.values.size, 0)) if operator.coordinates is None else operator.coordinates
+        used = np.flatnonzero(np.isfinite(places).all(axis=1) & (places.shape[1] > 0))
+        predicted = operator.apply(belief.members)[:, used]
+        R = operator.covariance if operator.covariance.ndim == 2 else np.diag(operator.covariance)  # noqa: N806
+        largest = np.maximum(np.abs(seen.values[used]), np.abs(belief.average(predicted)))
+        return used, predicted, R[np.ix_(used, used)] + np.diag(self.absolute**2 + (self.relative * largest) ** 2)
+
+    def _confirmed(self, window: Window, plain: Ensemble, correction: Array) -> float:
+        """Return the share a of the correction (n,) of the belief ``plain`` that the present readings confirm."""
+        if not correction.any():
+            return 1.0
+        used, predicted, R = self._readings(window, plain)  # noqa: N806
+        corrected = window.observation.operator.apply(plain.space.retract(plain.members, correction))[:, used]
+        mean, r = plain.average(predicted), np.diag(R)
+        added = plain.average(corrected) - mean
+        wanted = window.observation.values[used] - mean
+        return float(np.clip((1.0 + (wanted * added / r).sum()) / (1.0 + (added**2 / r).sum()), 0.0, 1.0))
+
     def _change(self, window: Window, belief: Ensemble, sums: Array) -> tuple[Array, float, Array]:
         """Return what the present readings change of the correction (n,), the factor s, and the sums with them."""
         space, operator = belief.space, window.observation.operator
         factor = float(np.sqrt(np.clip(sums[0] / sums[1], 0.0, self.largest**2)))
         change = np.zeros(space.size)
-        places = operator.coordinates
-        used = np.flatnonzero([] if places is None else np.isfinite(places).all(axis=1))
-        if places is None or not len(used):
+        used, predicted, R = self._readings(window, belief)  # noqa: N806
+        if not len(used):
             return change, factor, sums
-        places, values = places[used], window.observation.values[used]
-        predicted = operator.apply(belief.members)[:, used]
+        places, values = np.asarray(operator.coordinates)[used], window.observation.values[used]
         mean, anomalies = belief.average(predicted), self._anomalies(belief, predicted)
-        R = operator.covariance[used] if operator.covariance.ndim == 1 else operator.covariance[np.ix_(used, used)]  # noqa: N806
-        R = np.diag(R) if R.ndim == 1 else R  # noqa: N806
-        R = R + np.diag(self.absolute**2 + (self.relative * np.maximum(np.abs(values), np.abs(mean))) ** 2)  # noqa: N806
         part = space.slice(self._variable(space).name)
         domain = window.rerun.domain
         between = self._nearness(domain, places, places)
-        spread = _not_negative(between * (anomalies.T @ anomalies))
+        spread = not_negative(between * (anomalies.T @ anomalies))
         missed, v, r = values - mean, np.diag(spread), np.diag(R)
         weight = 1.0 / (v + r) ** 2
         sums = sums + np.array([(weight * (missed**2 - r) * v).sum(), (weight * v**2).sum()])
@@ -211,18 +243,3 @@ class Local(Filter):
             else:
                 rows.append(domain.distances(place, others, self.radius))
         return gaspari_cohn(np.array(rows) / (0.5 * self.radius))
-
-
-def gaspari_cohn(distance: Array) -> Array:
-    """Return the correlation at a distance in units of half the radius: 1 at 0, 0 from 2 on. Any shape."""
-    r = np.minimum(distance, 2.0)
-    inner = 1.0 - 5.0 / 3.0 * r**2 + 0.625 * r**3 + 0.5 * r**4 - 0.25 * r**5
-    with np.errstate(divide="ignore"):
-        outer = 4.0 - 5.0 * r + 5.0 / 3.0 * r**2 + 0.625 * r**3 - 0.5 * r**4 + r**5 / 12.0 - 2.0 / (3.0 * r)
-    return np.where(r <= 1.0, inner, np.where(r < 2.0, np.maximum(outer, 0.0), 0.0))
-
-
-def _not_negative(matrix: Array) -> Array:
-    """Return the nearest symmetric matrix without negative eigenvalues: ways around walls may make some."""
-    values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
-    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)

@@ -8,10 +8,13 @@ import pytest
 from dafw import Domain, Model, StateSpace, Study, Variable
 from dafw.authoring.problems import linear_problem
 from dafw.authoring.small_study import study_of
+from dafw.core.composition import compose, study_part
 from dafw.core.errors import ConfigurationError, PluginError
+from dafw.core.options import merged
 from dafw.core.registry import registry
 from dafw.core.space import NONNEGATIVE, POSITIVE
-from dafw.plugins.filters.local import Local, gaspari_cohn
+from dafw.plugins.filters.local import Local
+from dafw.plugins.filters.localization import gaspari_cohn, not_negative
 from dafw.plugins.readings.listed import Listed
 
 X, Y = np.meshgrid(np.arange(0.0, 101.0, 5.0), np.arange(0.0, 61.0, 5.0))
@@ -108,16 +111,27 @@ def test_no_gas_where_no_member_has_any_and_none_below_zero():
 def test_the_field_changes_by_no_more_than_the_readings_say(values, place):
     # At (40, 60) the cloud is a third of what it is at (40, 30), so a gain alone would change the latter by more.
     near = gaspari_cohn(np.linalg.norm(NODES - place, axis=1) / 15.0)
-    before = FACTORS[:, np.newaxis] * CLOUD
-    changed = False
+    before, there = FACTORS[:, np.newaxis] * CLOUD, CLOUD[node(*place)]
+    said = 0.0
     for cycle, value in zip(cycles_of(local(), values, place), values, strict=True):
-        missed = abs(value * CLOUD[node(*place)] - cycle.predicted.mean())
+        # What is left of the past correction lies between all of it and nothing.
+        said += max(abs(value * there - cycle.predicted.mean()), abs(value * there - there))
         change = np.abs(cycle.belief.members - before)
-        assert (change <= missed * near + 1e-15).all()
-        assert np.abs(change.sum(axis=1)).max() <= missed * near.sum() + 1e-12
-        changed |= bool(change.any())
-        before = cycle.belief.members
-    assert changed
+        assert (change <= said * near + 1e-15).all()
+        assert change.sum(axis=1).max() <= said * near.sum() + 1e-12
+    assert change.any()
+
+
+def test_a_correction_that_readings_contradict_is_dropped():
+    cycles = cycles_of(local(), [*LOW, 1.0])
+    there = node(40.0, 30.0)
+    assert cycles[2].belief.mean[there] > 1.2 * CLOUD[there]
+    assert cycles[3].belief.mean[there] < 1.05 * CLOUD[there]
+    shares = [float(cycle.analysis.diagnostics["local_confirmed"].values) for cycle in cycles]
+    # 1 + sum(wanted x added / r) over 1 + sum(added^2 / r), with nothing wanted
+    added = cycles[2].belief.mean[there] - CLOUD[there]
+    r = 1e-6 + 0.002**2 + (0.1 * CLOUD[there]) ** 2
+    assert shares == pytest.approx([1.0, 1.0, 1.0, 1.0 / (1.0 + added**2 / r)])
 
 
 def test_a_correction_travels_with_the_gas():
@@ -173,3 +187,18 @@ def test_the_function_of_gaspari_and_cohn():
     # On a line its matrix is a covariance: no eigenvalue is negative.
     matrix = gaspari_cohn(np.abs(np.subtract.outer(4.0 * r, 4.0 * r)))
     assert np.linalg.eigvalsh(matrix).min() > -1e-10
+
+
+def test_the_recommended_amis_is_the_base_of_the_preset():
+    recommended, corrected = (study_part(compose(words))["filter"] for words in ([], ["filter=local_amis"]))
+    base = corrected["base"]
+    assert corrected["name"] == "local" and base["name"] == recommended["name"] == "amis"
+    whole = merged(study_part(compose(["filter=amis"]))["filter"], base)
+    assert whole == recommended
+
+
+def test_a_matrix_loses_its_negative_eigenvalues_alone():
+    turned = np.array([[0.6, 0.8], [-0.8, 0.6]])
+    np.testing.assert_allclose(
+        not_negative(turned.T @ np.diag([2.0, -0.5]) @ turned), turned.T @ np.diag([2.0, 0.0]) @ turned, atol=1e-15
+    )
