@@ -90,6 +90,7 @@ class Local(Filter):
                 f"one that does not look back"
             )
         self.window = 1 if self._base.window == 0 else None
+        self.weighs_first_guess = self._base.weighs_first_guess
 
     def require_members(self, n_members: int) -> None:
         """Raise ConfigurationError if the base cannot work with so few members."""
