@@ -54,7 +54,7 @@ REDUCED = {
         "one run with some 300 nodes, three members, one cycle, a basis of four winds",
     ),
     r"^dafw study recommended.*": (
-        f"dafw study recommended {COARSE} {BASIS} --seeds 0 --configurations recommended",
+        f"dafw study recommended {COARSE} {BASIS} members=4 --seeds 0 --configurations recommended",
         "one run with some 300 nodes, three members, one cycle, a basis of four winds",
     ),
     r"^dafw study tiny --seeds .*": (

@@ -26,6 +26,9 @@ ONE_ANALYSIS = {
     "esmda": {"every": CYCLES, "iterations": 1},
     "ienks": {"every": CYCLES, "iterations": 1},
     "restart_enkf": {"every": CYCLES},
+    "amis": {"every": CYCLES, "steps": 2 * CYCLES * MEMBERS},
+    "smc": {"every": CYCLES, "steps": 2 * CYCLES * MEMBERS},
+    "local": {"base": {"name": "amis", "every": CYCLES, "steps": 2 * CYCLES * MEMBERS}},
 }
 """Options of filters that run the model again, with which they do so twice: winds take their time."""
 

@@ -7,7 +7,8 @@ Since then new readings have changed L, and the weights are ::
     w(z) = p(z) L(z) / q(z),    q(z) = p(z) L_then(z)^b
 
 If their effective sample size falls below a share ``enough`` of the members, then until it does not (and once, every
-``refresh`` cycles, in any case, so that members that agree with each other do not stay where they are for ever):
+``refresh`` cycles, unless they are as good as equal, so that members that agree with each other do not stay where they
+are for ever):
 
 1. *Temper.* The next target is p L^b with the largest power b <= 1 for which the weights p L^b / q have the wanted
    effective size; or, if none has, the power with the largest.
@@ -54,6 +55,8 @@ from dafw.plugins.filters.likelihood import Likelihood
 
 POWERS = np.append(0.0, np.geomspace(1e-6, 1.0, 200))
 """Powers of the likelihood that are considered; from one to the next the effective size hardly changes."""
+EQUAL = 0.999
+"""Effective sample size, per member, above which weights are as good as equal: nothing has been learnt."""
 NOISE = 0.1
 """Standard deviation of a step's noise, relative to the members': differences alone may span too few directions."""
 
@@ -79,7 +82,7 @@ class SMC(Filter):
         0.5, "effective sample size, per member, below which members are moved", above=0.0, maximum=1.0
     )
     refresh: int | None = option(
-        2, "cycles after which members are moved even if the weights are not degenerate; null: never", minimum=1
+        2, "cycles after which members are moved if their weights differ at all; null: never", minimum=1
     )
     sweeps: int = option(3, "Metropolis steps of every member at each power of the likelihood", minimum=1)
     fresh: float = option(0.3, "share of proposals that are drawn from the first guess", minimum=0.0, maximum=1.0)
@@ -107,8 +110,9 @@ class SMC(Filter):
             log_base = members.log_prior - members.log_proposal
             fit = self.likelihood.averaged(members.fit)
             weights = normalized(log_base + fit)
-            is_degenerate = effective_size(weights) < self.enough * size
-            if not (is_degenerate or is_due) or moves.left < n_cycles:
+            effective = effective_size(weights)
+            is_degenerate = effective < self.enough * size or (is_due and effective < EQUAL * size)
+            if not is_degenerate or moves.left < n_cycles:
                 break
             power = next_power(log_base, fit, self.enough * size)
             members = moves.made(members, normalized(log_base + power * fit), power)
