@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from dafw.core.composition import compose, study_part
-from dafw.core.diagnostics import error_of, relative_error
+from dafw.core.diagnostics import error_of
 from dafw.core.ensemble import Ensemble
 from dafw.core.experiment import study_from
 from dafw.core.space import Array
@@ -160,7 +160,7 @@ def compared(name: str, seed: int, overrides: Sequence[str]) -> Result:
     part = belief.space.slice(belief.space.variables[0].name)
     errors = [error_of(belief.space, truth[-1], one.mean) for one in (base, belief)]
     missed = np.where(near, 0.0, base.mean[part] - fields[-1])
-    errors.append(relative_error(fields[-1], missed))
+    errors.append(100.0 * float(np.linalg.norm(missed) / np.linalg.norm(fields[-1])))
     gas = [float(one.mean[part].sum() / fields[-1].sum()) for one in (base, belief)]
     return Result(*errors, *gas)
 

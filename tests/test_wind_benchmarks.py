@@ -65,7 +65,14 @@ def test_drag_lift_and_pressure_difference_of_a_cylinder(results):
 
 def test_the_winds_of_a_run_are_written_down_in_order(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    small = ["model.mesh.wall_size=60", "model.mesh.far_size=90", "model.wind_speed_sd=0.2", "members=3", "cycles=2"]
+    small = [
+        "experiment=enie2d_literal",
+        "model.mesh.wall_size=60",
+        "model.mesh.far_size=90",
+        "model.wind_speed_sd=0.2",
+        "members=3",
+        "cycles=2",
+    ]
     with dafw.run([*small, "pictures=false", "model.speed_threshold=0"]) as run:
         solved = run["model_wind_solved"].values == 1
         speeds = run["model_wind_speed"].values[solved]

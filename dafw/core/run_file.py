@@ -7,11 +7,15 @@ Nothing is compressed: noisy fields hardly shrink, and compressing takes ten tim
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Mapping, Sequence
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
+# Imported before any plugin is loaded: dolfinx.fem.petsc makes the symbols of its own HDF5 library visible to all
+# libraries loaded after it, and netCDF4 cannot write with those.
+import netCDF4
 import numpy as np
 
 from dafw.core.cycle import PHASES, Parts
@@ -21,6 +25,8 @@ from dafw.core.space import Array, Kind, StateSpace, Variable
 from dafw.core.ugrid import write_domain
 
 CHUNK_NUMBERS = 4096
+HDF_ERROR = -101
+"""The number of netCDF's error when HDF5 fails."""
 USES = ("used", "used_in_window", "dropped")
 """How a reading was used: at the end of its row's cycle, late but within the filter's window, or not at all."""
 KIND_NOTES = {
@@ -41,6 +47,11 @@ STAGES = {
 }
 
 
+def _hidden_library(error: OSError) -> bool:
+    """Return whether netCDF4 may be using the HDF5 library of DOLFINx."""
+    return error.errno == HDF_ERROR and "dolfinx.fem.petsc" in sys.modules
+
+
 class RunFile:
     """A new file with all variables of a run except diagnostics, which are defined when they first occur.
 
@@ -59,12 +70,11 @@ class RunFile:
         section: Array,
         attributes: Mapping[str, str | int],
     ) -> None:
-        import netCDF4
-
         try:
             self._file = netCDF4.Dataset(path, "w", clobber=False, format="NETCDF4")
         except OSError as error:
-            raise RunError(f"{path}: cannot be written, or holds a run already ({error})") from error
+            hint = "; import netCDF4 before dolfinx.fem.petsc" if _hidden_library(error) else ""
+            raise RunError(f"{path}: cannot be written, or holds a run already ({error}){hint}") from error
         # Kept here because looking them up in the file is slower.
         self._fills: dict[str, Any] = {}
         self._shapes: dict[str, tuple[int, ...]] = {}
