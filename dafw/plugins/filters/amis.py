@@ -11,13 +11,14 @@ So a sample stays of use for good: new readings only change its likelihood. The 
 
     q_b = fresh p + (1 - fresh) (mean over centres c and widths h of t_5(z; c, h^2 C))
 
-A kernel counts for all samples but its own centre: else a sample that became a centre would lose weight. C is the
-covariance of the samples under the tempered weights p L^power / q. The power is the largest whose effective
-sample size is the number of members, so that C is never that of one lucky sample. The centres are drawn from the same
-weights. The members of the belief are drawn from w.
+Batches take turns. For one, the centres and C are those of a step with the linearised model (linearised.py): C is about
+the covariance of the posterior as soon as samples are close to it. For the next, centres are drawn from clipped
+weights, and C is the covariance of the samples under them: as many of the largest weights as there are members are made
+equal, so that C is never that of one lucky sample. A kernel counts for all samples but its own centre: else a sample
+that became a centre would lose weight. The members of the belief are drawn from w.
 
 Cornuet, Marin, Mira and Robert (2012), doi:10.1111/j.1467-9469.2011.00756.x; the mixture q is the deterministic one of
-Veach and Guibas (1995), doi:10.1145/218380.218498. The tempering follows Koblents and Miguez (2015),
+Veach and Guibas (1995), doi:10.1145/218380.218498. Clipping: Koblents and Miguez (2015),
 doi:10.1007/s11222-013-9440-2.
 """
 
@@ -36,19 +37,20 @@ from dafw.core.space import Array, StateSpace
 from dafw.core.window import Window
 from dafw.plugins.filters.candidates import (
     Candidates,
+    clipped,
     effective_size,
     first_candidates,
     log_prior_of,
     normalized,
     readings_before,
     rows,
-    tempered,
     tried,
     without_repeats,
 )
 from dafw.plugins.filters.controls import Controls
 from dafw.plugins.filters.kernels import Kernels
 from dafw.plugins.filters.likelihood import Likelihood
+from dafw.plugins.filters.linearised import can_linearise, linearised
 from dafw.plugins.filters.shown import members_drawn
 
 HOPELESS = 30.0
@@ -103,9 +105,12 @@ class AMIS(Filter):
             enough = min(self.enough * size, EQUAL * len(samples))
             if effective_size(weights) >= enough or cost * (batches + 1) > self.steps:
                 break
-            # Half of the samples have to count: a few good ones among bad ones say nothing of the covariance.
-            leading = tempered(log_base, fit, min(float(size), 0.5 * len(samples)))
-            proposal = Kernels.around(controls, samples.coordinates, leading, size, rng)
+            # At most half of the samples count equally: a few good ones among bad ones say nothing of the covariance.
+            leading = clipped(log_base + fit, int(min(size, 0.5 * len(samples))))
+            if batches % 2 == 0 and can_linearise(controls, leading):
+                proposal = linearised(controls, samples, leading, weights, window, self.likelihood, size, rng.random())
+            else:
+                proposal = Kernels.around(controls, samples.coordinates, leading, size, rng)
             kernels = kernels.joined(proposal)
             samples = replace(samples, log_proposal=self._with_one_more(samples, proposal, size))
             found = self._batch(window, controls, proposal, size, (number, batches), rng, samples.log_prior.max())

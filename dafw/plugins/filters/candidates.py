@@ -28,6 +28,7 @@ class Candidates:
     log_proposal (P,) log density that importance sampling divides by; zero where they are not weighted by it
     log_kept     (P,) log probability that a candidate was kept whenever candidates were given up; zero before
     fit          (P, S) log likelihood of all readings so far, for each size of the model's error
+    predicted    (P, M) their predictions of all readings so far, in the order of the cycles
     now          the candidates at the end of the present cycle, with the model's memory
     """
 
@@ -37,6 +38,7 @@ class Candidates:
     log_proposal: Array
     log_kept: Array
     fit: Array
+    predicted: Array
     now: Forecast
 
     def __len__(self) -> int:
@@ -85,11 +87,12 @@ class Candidates:
         since = int(memory["done"])
         if readings_before(window, since) != int(memory["seen"]):
             start = window.first.ensemble.with_members(self.starts)
-            now, fit, kept = _run(window, start, window.cycles[0].number, likelihood)
-            return replace(self.taken(kept), fit=fit, now=now)
-        now, fit, kept = _run(window, self.now, since, likelihood)
+            now, fit, predicted, kept = _run(window, start, window.cycles[0].number, likelihood)
+            return replace(self.taken(kept), fit=fit, predicted=predicted, now=now)
+        now, fit, predicted, kept = _run(window, self.now, since, likelihood)
         rest = self.taken(kept)
-        return replace(rest, fit=rest.fit + fit, now=now)
+        predicted = np.concatenate([rest.predicted, predicted], axis=1)
+        return replace(rest, fit=rest.fit + fit, predicted=predicted, now=now)
 
 
 def readings_before(window: Window, number: int) -> int:
@@ -132,9 +135,9 @@ def evaluated(
     """
     ensemble = window.first.ensemble.with_members(starts)
     start = ensemble if memory is None else Forecast(ensemble, memory)
-    now, fit, kept = _run(window, start, window.cycles[0].number, likelihood)
+    now, fit, predicted, kept = _run(window, start, window.cycles[0].number, likelihood)
     zeros = np.zeros(len(kept))
-    return Candidates(starts[kept], coordinates[kept], log_prior[kept], zeros, zeros, fit, now), kept
+    return Candidates(starts[kept], coordinates[kept], log_prior[kept], zeros, zeros, fit, predicted, now), kept
 
 
 def tried(
@@ -153,8 +156,11 @@ def tried(
 
 def _run(
     window: Window, start: Forecast | Ensemble, first: int, likelihood: Likelihood
-) -> tuple[Forecast, Array, IntArray]:
-    """Run members from cycle ``first`` to now: the members now, their fit (M, S), and the indices (M,) of the rest."""
+) -> tuple[Forecast, Array, Array, IntArray]:
+    """Run members from cycle ``first`` to now.
+
+    Return the members now, their fit (P, S), their predictions (P, M), and the indices (P,) of those that did not fail.
+    """
     cycles = [cycle for cycle in window.cycles if cycle.number >= first]
     operators = {cycle.number: cycle.observation.operator for cycle in cycles if cycle.observation.values.size}
     ensemble = start if isinstance(start, Ensemble) else start.ensemble
@@ -169,12 +175,14 @@ def _run(
             if error.member is None or len(kept) == 1:
                 raise
             kept = np.delete(kept, error.member)
-    fit = np.zeros((len(kept), len(likelihood.sizes)))
+    fit, predicted = np.zeros((len(kept), len(likelihood.sizes))), [np.empty((len(kept), 0))]
     for cycle in cycles:
         if cycle.number in operators:
             seen = cycle.observation
-            fit += likelihood.log_density(replay.predicted[cycle.number], seen.values, seen.covariance)
-    return Forecast(replay.forecast.ensemble, replay.forecast.memory), fit, kept
+            predicted.append(replay.predicted[cycle.number])
+            fit += likelihood.log_density(predicted[-1], seen.values, seen.covariance)
+    now = Forecast(replay.forecast.ensemble, replay.forecast.memory)
+    return now, fit, np.concatenate(predicted, axis=1), kept
 
 
 def normalized(log_weights: Array) -> Array:
@@ -191,22 +199,12 @@ def effective_size(weights: Array) -> float:
     return float(1.0 / (weights @ weights))
 
 
-def tempered(log_base: Array, log_likelihood: Array, wanted: float) -> Array:
-    """Return weights (P,) proportional to base x likelihood^power: the largest power with that effective size.
+def clipped(log_weights: Array, count: int) -> Array:
+    """Return weights (P,) of which the ``count`` largest are made equal to the smallest of these.
 
-    The power is between 0 and 1; a bisection finds it to 1e-6.
+    Koblents and Miguez (2015), doi:10.1007/s11222-013-9440-2.
     """
-
-    def weights(power: float) -> Array:
-        return normalized(log_base + power * log_likelihood)
-
-    if effective_size(weights(1.0)) >= wanted:
-        return weights(1.0)
-    low, high = 0.0, 1.0
-    while high - low > 1e-6:
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if effective_size(weights(middle)) >= wanted else (low, middle)
-    return weights(low)
+    return normalized(np.minimum(log_weights, np.partition(log_weights, -count)[-count]))
 
 
 def systematic(weights: Array, size: int, offset: float) -> IntArray:

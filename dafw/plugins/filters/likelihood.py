@@ -91,6 +91,29 @@ class Likelihood:
             return np.asarray(log_ndtr(room / scale))
         return np.log(np.maximum(stdtr(self.degrees_of_freedom, room / scale), np.finfo(float).tiny))
 
+    def variances(self, predicted: Array, fit: Array, values: Array, covariance: Array) -> Array:
+        """Return s^2 (m,) of readings for the sizes that fit best, without correlations.
+
+        predicted    (m,) what one member predicts
+        fit          (S,) its log likelihood for each pair of ``sizes``
+        values       (m,) the readings
+        covariance   (m,) or (m, m) R
+        """
+        absolute, relative = self.sizes[np.argmax(fit)]
+        of_reading = covariance if covariance.ndim == 1 else np.diagonal(covariance)
+        largest = np.maximum(np.abs(predicted), np.abs(values))
+        return np.asarray(of_reading + absolute**2 + (relative * largest) ** 2)
+
+    def pull(self, misfit: Array) -> Array:
+        """Return the weights (m,) with which least squares fit the readings, of their squared misfits over s^2 (m,).
+
+        A heavy-tailed likelihood gives a large misfit a small weight.
+        """
+        degrees = self.degrees_of_freedom
+        if degrees is None:
+            return np.full(misfit.shape, self.independence)
+        return self.independence * (degrees + 1.0) / (degrees + misfit)
+
     def averaged(self, log_density: Array) -> Array:
         """Return the log likelihood (N,) averaged over the sizes, of sums (N, S) of ``log_density`` over readings."""
         return np.asarray(np.logaddexp.reduce(log_density, axis=1) - np.log(log_density.shape[1]))

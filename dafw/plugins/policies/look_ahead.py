@@ -22,7 +22,7 @@ absolute below.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -121,6 +121,13 @@ def _costs_around(ways: Ways, places: Array, costs: Array, nodes: Array, loss: f
     return np.asarray(least[points] + loss * distances)
 
 
+def onward(vehicle: Vehicle, steps: Array, left: IntArray) -> Route:
+    """Return the next leg of each vehicle, ``steps`` (V, 2) in metres, of ``left`` (V,) legs; it hovers if none is."""
+    legs = zip(vehicle.positions, steps, left, strict=True)
+    paths = tuple(np.array([place, place + step] if more else [place]) for place, step, more in legs)
+    return Route(paths, memory={"steps": steps, "left": np.maximum(left - 1, 0)})
+
+
 @dataclass
 class LookAhead(Policy):
     """Compares straight paths by how much the members' predictions along them differ."""
@@ -128,6 +135,7 @@ class LookAhead(Policy):
     looks_ahead = True
 
     horizon: float = option(25.0, "how far to look ahead, in seconds", above=0.0)
+    legs: int = option(3, "legs of the best path, one a cycle, that are flown before the next decision", minimum=1)
     headings: int = option(24, "number H of headings that are compared", minimum=1)
     discount: float = option(0.95, "weight g of a difference that is seen a second later", above=0.0, maximum=0.99)
     floor: float = option(0.01, "c0, in units of the variable: smaller differences count little", above=0.0)
@@ -155,27 +163,29 @@ class LookAhead(Policy):
         return space[name], coordinates
 
     def plan(self, outlook: Outlook, rng: np.random.Generator) -> Route:
-        """Return the first leg of the best path for each vehicle, decided independently of the others."""
-        vehicle, n_vehicles = outlook.vehicle, len(outlook.vehicle.positions)
+        """Return the next leg of the best path for each vehicle, decided independently of the others."""
+        vehicle, n_vehicles, decided = outlook.vehicle, len(outlook.vehicle.positions), outlook.memory
         if not n_vehicles:
             return Route(())
+        if decided is not None and decided["left"].all():
+            return onward(vehicle, decided["steps"], decided["left"])
         cycles = max(1, round(self.horizon / vehicle.dt))
         paths = [free_paths(position, vehicle, self.headings, cycles) for position in vehicle.positions]
         scores = np.full((n_vehicles, self.headings), -np.inf)
         if any(one.legs.any() for one in paths):
             scores = self._scores(outlook, paths, cycles)
-        routes, notes = [], []
+        steps, left = np.zeros((n_vehicles, 2)), np.zeros(n_vehicles, dtype=np.int64)
+        notes = []
         for number, (one, values) in enumerate(zip(paths, scores, strict=True)):
             position = vehicle.positions[number]
             if values.max() > 0.0:
                 best = int(np.argmax(values >= values.max() * (1.0 - EQUAL)))
-                routes.append(np.array([position, position + one.steps[best]]))
+                steps[number], left[number] = one.steps[best], min(self.legs, one.legs[best])
                 continue
-            routes.append(position[np.newaxis])
             reason = "nothing is expected anywhere" if one.legs.any() else "every way is blocked"
             notes.append(f"vehicle {number} hovers at {position.round(1).tolist()}: {reason}")
         recorded = Diagnostic(scores, ("vehicle", "heading"), long_name="score of each heading at the decision")
-        return Route(tuple(routes), diagnostics={"heading_score": recorded}, notes=tuple(notes))
+        return replace(onward(vehicle, steps, left), diagnostics={"heading_score": recorded}, notes=tuple(notes))
 
     def _scores(self, outlook: Outlook, paths: Sequence[Paths], cycles: int) -> Array:
         """Return the scores (V, H) of all headings; minus infinity for one whose first leg is blocked."""

@@ -11,6 +11,7 @@ from dafw.core.ensemble import Analysis
 from dafw.core.errors import SolverError
 from dafw.plugins.filters.candidates import (
     Candidates,
+    clipped,
     effective_size,
     evaluated,
     first_candidates,
@@ -18,7 +19,6 @@ from dafw.plugins.filters.candidates import (
     normalized,
     readings_before,
     systematic,
-    tempered,
     tried,
     without_repeats,
 )
@@ -175,19 +175,12 @@ def test_systematic_draws_are_within_one_of_the_expected_number(size):
     assert systematic(np.full(3, 1.0 / 3.0), 3, 1.0 - 1e-16).max() == 2
 
 
-@pytest.mark.parametrize("wanted", [2.0, 5.0, 15.0])
-def test_tempered_weights_have_the_wanted_effective_size(wanted):
-    rng = np.random.default_rng(6)
-    base, fit = rng.normal(size=20) * 0.3, 100.0 * rng.normal(size=20)
-    weights = tempered(base, fit, wanted)
-    assert effective_size(weights) == pytest.approx(wanted, rel=1e-3)
-    assert effective_size(weights) >= wanted
-    # They are base x likelihood^power for one power.
-    slope = np.polyfit(fit, np.log(weights) - base, 1)
-    np.testing.assert_allclose(np.log(weights) - base, np.polyval(slope, fit), atol=1e-8)
-    assert 0.0 < slope[0] < 1.0
-
-
-def test_weights_that_are_equal_enough_are_not_tempered():
-    base, fit = np.zeros(4), np.array([0.0, 0.1, 0.2, 0.1])
-    np.testing.assert_array_equal(tempered(base, fit, 3.5), normalized(fit))
+@pytest.mark.parametrize("count", [1, 3, 20])
+def test_the_largest_weights_are_made_equal_and_the_rest_keep_their_ratios(count):
+    log_weights = 50.0 * np.random.default_rng(6).normal(size=20)
+    weights, order = clipped(log_weights, count), np.argsort(-log_weights)
+    np.testing.assert_allclose(weights[order[:count]], weights.max())
+    np.testing.assert_allclose(
+        weights[order[count - 1 :]], normalized(log_weights[order[count - 1 :]]) * weights[order[count - 1 :]].sum()
+    )
+    assert effective_size(weights) >= count * (1.0 - 1e-12)

@@ -276,12 +276,39 @@ def test_without_a_name_it_compares_the_first_variable_with_places():
         LookAhead(variable="speed").suit(space)
 
 
+def test_it_flies_as_many_legs_as_asked_for_and_then_decides_again():
+    policy, belief = LookAhead(legs=3), belief_of([cloud(60.0, 0.0), cloud(80.0, 0.0)])
+    vehicle, memory, begun = Vehicle(ORIGIN, 10.0), None, []
+    for cycle in range(7):
+        outlook = Outlook(Forecast(belief), vehicle, memory, cycle, Rerun(Drifting(belief.space), Serial(), Streams(0)))
+        route = policy.route(belief, vehicle, memory, np.random.default_rng(0), outlook)
+        begun += [cycle] if route.diagnostics else []
+        vehicle, memory = vehicle.moved(route.ends), route.memory
+    assert begun == [0, 3, 6]
+    np.testing.assert_allclose(vehicle.positions, [[70.0, 0.0]], atol=1e-9)
+
+
+def test_it_decides_before_the_free_legs_of_a_path_are_over():
+    wall = Domain(
+        (-100.0, -100.0, 100.0, 100.0), obstacles=[np.array([[15.0, -80.0], [18.0, -80.0], [18.0, 80.0], [15.0, 80.0]])]
+    )
+    paths = free_paths(ORIGIN[0], Vehicle(ORIGIN, 10.0, airspace=wall), 24, 5)
+    assert paths.legs[0] == 1
+    route = fly(
+        LookAhead(legs=3, headings=1),
+        belief_of([cloud(60.0, 0.0), cloud(80.0, 0.0)]),
+        Vehicle(ORIGIN, 10.0, airspace=wall),
+    )
+    np.testing.assert_array_equal(route.memory["left"], [0])
+
+
 def flown(executor):
     """The routes of a small study in uncertain winds, with model error; its decisions as bytes."""
-    parts = {"observer": "drone", "policy": "look_ahead", "filter": "etkf", "executor": executor}
+    parts = {"observer": "drone", "filter": "etkf", "executor": executor}
     study = study_from(
         {kind: {"name": name} for kind, name in parts.items()}
         | {
+            "policy": {"name": "look_ahead", "legs": 1},
             "model": {"name": "ad", **AdvectionDiffusion.check_options()},
             "members": 4,
             "cycles": 3,
