@@ -41,6 +41,7 @@ from dafw.plugins.filters.candidates import (
     effective_size,
     first_candidates,
     log_prior_of,
+    n_moments,
     normalized,
     readings_before,
     rows,
@@ -106,7 +107,7 @@ class AMIS(Filter):
             if effective_size(weights) >= enough or cost * (batches + 1) > self.steps:
                 break
             # At most half of the samples count equally: a few good ones among bad ones say nothing of the covariance.
-            leading = clipped(log_base + fit, int(min(size, 0.5 * len(samples))))
+            leading = clipped(log_base + fit, int(min(max(size, n_moments(len(controls))), 0.5 * len(samples))))
             if batches % 2 == 0 and can_linearise(controls, leading):
                 proposal = linearised(controls, samples, leading, weights, window, self.likelihood, size, rng.random())
             else:
