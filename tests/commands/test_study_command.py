@@ -191,7 +191,7 @@ def test_a_run_that_failed_is_tried_again_when_asked_for(done, capsys):
     ("words", "message"),
     [
         (["study"], "expected the name of a study"),
-        (["study", "nothing"], "there is no study 'nothing' (there are: literal, recommended, tiny)"),
+        (["study", "nothing"], "there is no study 'nothing' (there are: leak, literal, recommended, tiny)"),
         ([*WORDS, "--seeds", "9-3"], "--seeds: expected numbers and ranges such as 3,5,100-199, got '9-3'"),
         ([*WORDS, "--configurations", "lstm"], "has no configuration 'lstm' (it has: filter=etkf; filter=enkf)"),
         ([*WORDS, "--workers", "0"], "--workers must be at least 1, got 0"),
@@ -212,5 +212,5 @@ def test_a_wrong_request_is_one_line_and_nothing_is_run(words, message, capsys):
 def test_studies_are_listed_with_their_size(capsys):
     assert main(["study", "--config-dir", "my", "--list"]) == 0
     listed = [line.split("  ", 1) for line in capsys.readouterr().out.splitlines()]
-    assert [name.strip() for name, _ in listed] == ["literal", "mine", "recommended", "tiny"]
+    assert [name.strip() for name, _ in listed] == ["leak", "literal", "mine", "recommended", "tiny"]
     assert " ".join(listed[1][1].split()) == "4 runs mine"
