@@ -13,9 +13,9 @@ So a sample stays of use for good: new readings only change its likelihood. The 
 
 Batches take turns. For one, the centres and C are those of a step with the linearised model (linearised.py): C is about
 the covariance of the posterior as soon as samples are close to it. For the next, centres are drawn from clipped
-weights, and C is the covariance of the samples under them: the largest weights are made equal, so that C is never that of
-one lucky sample. They are as many as there are members, and at least as many as a normal distribution of the controls
-has moments, so that C has all directions. A kernel counts for all samples but its own centre: else a sample
+weights, and C is the covariance of the samples under them: the largest weights are made equal, so that C is never that
+of one lucky sample. They are as many as there are members, and at least as many as a normal distribution of the
+controls has moments, so that C has all directions. A kernel counts for all samples but its own centre: else a sample
 that became a centre would lose weight. The members of the belief are drawn from w.
 
 Cornuet, Marin, Mira and Robert (2012), doi:10.1111/j.1467-9469.2011.00756.x; the mixture q is the deterministic one of
