@@ -66,10 +66,11 @@ def configuration_summary(results: Dataset, name: str) -> dict[str, Any]:
         "n_failed": int((status == "failed").sum()),
         "n_missing": int(np.isin(status, ("missing", "interrupted")).sum()),
     }
-    found: dict[str, float | None] = {}
+    floor = float(one["floor"]) if "floor" in one else np.nan
+    found: dict[str, float | None] = {"floor": _finite(floor)}
     intervals: dict[str, list[float | None]] = {}
     exact: dict[str, list[float]] = {}
-    for key, (values, statistic, is_rate) in _statistics(one, float(results.attrs["success_below_percent"])):
+    for key, (values, statistic, is_rate) in _statistics(one, float(results.attrs["success_below_percent"]), floor):
         found[key] = _finite(statistic(values, axis=0)) if values.size else None
         if values.size > 1 and not key.startswith("worst_"):  # resampling says nothing about an extreme
             intervals[key] = bootstrap_interval(values, statistic, f"{name} {key}")
@@ -81,8 +82,11 @@ def configuration_summary(results: Dataset, name: str) -> dict[str, Any]:
     return summary | found | ends | {"intervals": intervals, "exact_intervals": exact}
 
 
-def _statistics(one: Dataset, success: float) -> Iterator[tuple[str, Statistic]]:
-    """Yield the statistics of a configuration (dims seed, time) by their names, in the order of the summary."""
+def _statistics(one: Dataset, success: float, floor: float) -> Iterator[tuple[str, Statistic]]:
+    """Yield the statistics of a configuration (dims seed, time) by their names, in the order of the summary.
+
+    ``success`` and ``floor`` in per cent; the floor is NaN if there is none.
+    """
     ended = np.isin(one["status"].values, ("complete", "failed"))
     complete = one["status"].values == "complete"
     nothing: Array = np.empty(0)
@@ -104,6 +108,7 @@ def _statistics(one: Dataset, success: float) -> Iterator[tuple[str, Statistic]]
     yield "median_err", (err, np.median, False)
     yield "worst_err", (err, np.max, False)
     yield "median_err_ratio", (ratio, np.median, False)
+    yield "median_err_over_floor", (err / floor if floor > 0.0 else nothing, np.median, False)
     for name, (share, degrees) in CLOSE.items():
         speed = _of_seeds(one, "final_wind_speed_off") / _of_seeds(one, "final_wind_speed_truth")
         direction = np.degrees(_of_seeds(one, "final_wind_direction_off"))
