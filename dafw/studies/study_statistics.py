@@ -20,6 +20,8 @@ LEVEL = 0.95
 """Share of the resampled statistics that an interval holds."""
 SEED = 20_240_611
 """Seed of the resampling: the same runs give the same intervals."""
+NO_FLOOR = 0.1
+"""A floor below this, in per cent, is that of a truth that the model can be: nothing is compared with it."""
 CLOSE = {"wind_found_rate": (0.05, 5.0), "wind_found_rate_2": (0.02, 2.0)}
 """How near the last wind must be to the truth: its speed as a fraction, its direction in degrees."""
 
@@ -108,7 +110,7 @@ def _statistics(one: Dataset, success: float, floor: float) -> Iterator[tuple[st
     yield "median_err", (err, np.median, False)
     yield "worst_err", (err, np.max, False)
     yield "median_err_ratio", (ratio, np.median, False)
-    yield "median_err_over_floor", (err / floor if floor > 0.0 else nothing, np.median, False)
+    yield "median_err_over_floor", (err / floor if floor >= NO_FLOOR else nothing, np.median, False)
     for name, (share, degrees) in CLOSE.items():
         speed = _of_seeds(one, "final_wind_speed_off") / _of_seeds(one, "final_wind_speed_truth")
         direction = np.degrees(_of_seeds(one, "final_wind_direction_off"))
