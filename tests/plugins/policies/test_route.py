@@ -11,7 +11,7 @@ from dafw.plugins.policies.route import ListedRoute, flown
 
 SQUARE = [[0.0, 0.0], [30.0, 0.0], [30.0, 30.0], [0.0, 30.0]]
 WALL = np.array([[10.0, -5.0], [20.0, -5.0], [20.0, 5.0], [10.0, 5.0]])
-FAR = WALL + [100.0, 0.0]
+FAR = WALL + np.array([100.0, 0.0])
 YARD = Domain((-50.0, -50.0, 150.0, 50.0), (FAR, WALL), ("far shed", "near shed"))
 
 
