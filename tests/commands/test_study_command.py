@@ -221,4 +221,4 @@ def test_studies_are_listed_with_their_size(capsys):
     assert main(["study", "--config-dir", "my", "--list"]) == 0
     listed = [line.split("  ", 1) for line in capsys.readouterr().out.splitlines()]
     assert [name.strip() for name, _ in listed] == sorted([*BUILT_IN, "mine"])
-    assert ["4 runs mine"] == [" ".join(rest.split()) for name, rest in listed if name.strip() == "mine"]
+    assert [" ".join(rest.split()) for name, rest in listed if name.strip() == "mine"] == ["4 runs mine"]
