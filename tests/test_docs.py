@@ -58,7 +58,7 @@ REDUCED = {
         "one run with some 300 nodes, three members, one cycle, a basis of four winds",
     ),
     r"^dafw study filters$": (
-        f"dafw study filters {COARSE} {BASIS} --seeds 300 --configurations true_wind,policy=route",
+        f"dafw study filters {COARSE} {BASIS} members=4 --seeds 300 --configurations true_wind,policy=route",
         "one run as above",
     ),
     r"^dafw study mismatch$": (
