@@ -203,6 +203,11 @@ def effective_size(weights: Array) -> float:
     return float(1.0 / (weights @ weights))
 
 
+def n_moments(k: int) -> int:
+    """Return how many numbers the moments of a density of k numbers are: its integral, mean and covariance."""
+    return (k + 1) * (k + 2) // 2
+
+
 def clipped(log_weights: Array, count: int) -> Array:
     """Return weights (P,) of which the ``count`` largest are made equal to the smallest of these.
 

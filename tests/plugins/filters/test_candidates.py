@@ -16,6 +16,7 @@ from dafw.plugins.filters.candidates import (
     evaluated,
     first_candidates,
     log_prior_of,
+    n_moments,
     normalized,
     readings_before,
     systematic,
@@ -195,3 +196,8 @@ def test_the_largest_weights_are_made_equal_and_the_rest_keep_their_ratios(count
         weights[order[count - 1 :]], normalized(log_weights[order[count - 1 :]]) * weights[order[count - 1 :]].sum()
     )
     assert effective_size(weights) >= count * (1.0 - 1e-12)
+
+
+@pytest.mark.parametrize("k", [1, 2, 3, 6])
+def test_moments_are_the_integral_the_mean_and_the_different_entries_of_the_covariance(k):
+    assert n_moments(k) == 1 + k + len(np.triu_indices(k)[0])
