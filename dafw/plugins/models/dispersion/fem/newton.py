@@ -38,9 +38,10 @@ class NewtonSolver:
         factorisation: that of the last Jacobian.
     """
 
-    def __init__(self, problem: TaylorHood):
+    def __init__(self, problem: TaylorHood, *, single: bool = False):
+        """Prepare the solver; ``single`` factorises in single precision: residuals, and so the target, are double."""
         self._problem = problem
-        self.factorisation = Factorisation(problem.sparsity)
+        self.factorisation = Factorisation(problem.sparsity, single=single)
 
     def solve(
         self,

