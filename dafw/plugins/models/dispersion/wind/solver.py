@@ -137,21 +137,29 @@ class WindSolver:
     def derivatives(self, wind: WindSolution) -> tuple[np.ndarray, np.ndarray]:
         """Return the derivatives (2 m,) of the velocity of a unit wind with respect to R and to the direction.
 
-        ``wind`` must be the last solution, because the last factorisation is used. The derivatives are exact up to
-        Newton's last step if that step made its own factorisation. With ``keep_factorisation`` the factorisation may
-        be some steps older, and the derivatives are off by some per cent.
+        ``wind`` must be the last solution, because the last factorisation is used, with one refinement. So the
+        derivatives are exact up to the square of Newton's last step if that step made its own factorisation. With
+        ``keep_factorisation`` the factorisation may be some steps older, and the derivatives are off by a per cent.
         """
         problem, unit = self.problem, wind.unit
         fixed, _ = self.boundary.conditions(wind.direction)
         _, turned = self.boundary.conditions(wind.direction + 0.5 * np.pi)
         reynolds = self.reynolds(wind.intensity)
-        ahead, behind = (problem.residual(unit + sign * turned, reynolds) for sign in (1.0, -1.0))
+
+        def linear(change: np.ndarray) -> np.ndarray:
+            """Return the Jacobian times ``change`` (n,); exact, because the residual is quadratic."""
+            ahead, behind = (problem.residual(unit + sign * change, reynolds) for sign in (1.0, -1.0))
+            return 0.5 * (ahead - behind)
+
         by_reynolds = problem.residual(unit, 1.0) - problem.residual(unit, 0.0)
-        by_direction = 0.5 * (ahead - behind)  # exact, because the residual is quadratic
         velocities = []
-        for force, fixed_part in ((by_reynolds, np.zeros(self.problem.unknowns)), (by_direction, turned)):
+        for force, fixed_part in ((by_reynolds, np.zeros(problem.unknowns)), (linear(turned), turned)):
             force[fixed] = 0.0
-            velocities.append(problem.velocity(fixed_part - self._newton.factorisation.solve(force)))
+            change = -self._newton.factorisation.solve(force)
+            missed = force + linear(change)
+            missed[fixed] = 0.0
+            change -= self._newton.factorisation.solve(missed)
+            velocities.append(problem.velocity(fixed_part + change))
         return velocities[0], velocities[1]
 
     def _norm(self, unknowns: np.ndarray, reynolds: float, fixed: np.ndarray) -> float:
