@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,6 +11,9 @@ from time import perf_counter
 from typing import Any
 
 log = logging.getLogger(__name__)
+
+COLUMNS, ROWS = 100, 20
+"""Characters in a line, and lines, of a terminal that does not know its size."""
 
 
 def progress(total: int | None, unit: str, what: str = "", done: int = 0) -> Any:
@@ -24,8 +28,18 @@ def progress(total: int | None, unit: str, what: str = "", done: int = 0) -> Any
     from tqdm import tqdm
 
     style = "{desc}: {elapsed}" if total is None else None
-    given = {"desc": what or None, "unit": unit, "bar_format": style, "initial": done}
-    return tqdm(total=total, disable=None, file=sys.stderr, dynamic_ncols=True, **given)
+    # Some terminals do not know their size; tqdm would print empty lines there.
+    size = {"dynamic_ncols": True} if _columns() else {"ncols": COLUMNS, "nrows": ROWS}
+    given = {"desc": what or None, "unit": unit, "bar_format": style, "initial": done, **size}
+    return tqdm(total=total, disable=None, file=sys.stderr, **given)
+
+
+def _columns() -> int:
+    """Return how wide the terminal is, in characters; 0 if there is none or it does not know."""
+    try:
+        return os.get_terminal_size(sys.stderr.fileno()).columns
+    except OSError:
+        return 0
 
 
 @contextmanager

@@ -2,6 +2,10 @@
 
 import io
 import logging
+import os
+import pty
+import subprocess
+import sys
 
 import pytest
 
@@ -38,6 +42,16 @@ def test_what_cannot_be_counted_shows_the_time(monkeypatch):
     terminal = a_terminal(monkeypatch)
     with long_task("making the mesh"):
         assert "making the mesh: 00:00" in terminal.getvalue()
+
+
+def test_a_terminal_that_does_not_know_its_size_shows_it_as_well():
+    program = "from dafw.core.progress import progress; progress(3, 'wind', 'solving').close()"
+    ours, theirs = pty.openpty()  # its size is 0 x 0
+    with open(theirs, "wb") as screen:
+        subprocess.run([sys.executable, "-c", program], stderr=screen, check=True)
+        shown = os.read(ours, 1024)
+    os.close(ours)
+    assert b"solving:   0%" in shown and b"0/3" in shown
 
 
 def test_without_a_terminal_nothing_is_printed(capsys):
