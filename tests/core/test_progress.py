@@ -47,7 +47,7 @@ def test_what_cannot_be_counted_shows_the_time(monkeypatch):
 def test_a_terminal_that_does_not_know_its_size_shows_it_as_well():
     program = "from dafw.core.progress import progress; progress(3, 'wind', 'solving').close()"
     ours, theirs = pty.openpty()  # its size is 0 x 0
-    with open(theirs, "wb") as screen:
+    with os.fdopen(theirs, "wb") as screen:
         subprocess.run([sys.executable, "-c", program], stderr=screen, check=True)
         shown = os.read(ours, 1024)
     os.close(ours)
