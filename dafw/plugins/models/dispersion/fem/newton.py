@@ -38,14 +38,9 @@ class NewtonSolver:
         factorisation: that of the last Jacobian.
     """
 
-    def __init__(self, problem: TaylorHood, *, single: bool = False):
-        """Prepare the solver.
-
-        With ``single`` matrices are factorised in single precision. Residuals, and so the target, are double. But steps
-        then leave some of the divergence, which is linear and vanishes otherwise, so the last one is repeated.
-        """
-        self._problem, self._single = problem, single
-        self.factorisation = Factorisation(problem.sparsity, single=single)
+    def __init__(self, problem: TaylorHood):
+        self._problem = problem
+        self.factorisation = Factorisation(problem.sparsity)
 
     def solve(
         self,
@@ -92,8 +87,6 @@ class NewtonSolver:
                 break
             if keep and length == 1.0:
                 x, force, norm = self._reuse(residual, x, force, norm, target)
-        if self._single and count and norm <= target:
-            x, force, norm = self._reuse(residual, x, force, norm, 1e-4 * target)
         return Iterate(x, norm, count, bool(norm <= target))  # false if the norm is not a number
 
     def _reuse(

@@ -90,7 +90,7 @@ def build(tagged_mesh: TaggedMesh, options: WindOptions) -> ReducedBasis:
     Raises WindError if no wind can be solved.
     """
     begun = perf_counter()
-    solver = WindSolver(tagged_mesh, replace(options, keep_factorisation=True), single=True)
+    solver = WindSolver(tagged_mesh, replace(options, keep_factorisation=True))
     found = snapshots(solver, tagged_mesh.file)
     solved = perf_counter()
     space = VelocitySpace(solver.problem, solver.boundary)

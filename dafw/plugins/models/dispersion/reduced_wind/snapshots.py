@@ -146,4 +146,4 @@ def _row_in_worker(mesh_file: Path, options: bytes, direction: float) -> Outcome
 @lru_cache(maxsize=1)
 def _worker_solver(mesh_file: Path, options: bytes) -> WindSolver:
     """Return the solver of a worker process, which it keeps for all its rows; the process ends with the last row."""
-    return WindSolver(load(mesh_file), pickle.loads(options), single=True)
+    return WindSolver(load(mesh_file), pickle.loads(options))

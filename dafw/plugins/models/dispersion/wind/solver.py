@@ -26,9 +26,6 @@ from dafw.plugins.models.dispersion.wind.solution import WindError, WindSolution
 # isort: split
 from dolfinx import fem
 
-REFINEMENTS = 2
-"""Of derivatives: with factorisations in single precision they are then free of divergence to round-off."""
-
 
 class WindSolver:
     """Solves for the steady wind on one mesh. A result depends only on the arguments of ``solve``.
@@ -42,17 +39,14 @@ class WindSolver:
         boundary: the boundary conditions.
     """
 
-    def __init__(self, tagged_mesh: TaggedMesh, options: WindOptions, *, single: bool = False):
+    def __init__(self, tagged_mesh: TaggedMesh, options: WindOptions):
         """Assemble what is the same for all winds.
-
-        With ``single`` Jacobians are factorised in single precision. Winds have the same tolerance; they take two
-        thirds of the time, because a factorisation in double precision is needed for less than half of the digits.
 
         Raises ConfigurationError if the boundary is ``uniform`` and buildings cut the outer boundary.
         """
         self.options = options
         self.problem = TaylorHood(tagged_mesh.mesh)
-        self._newton = NewtonSolver(self.problem, single=single)
+        self._newton = NewtonSolver(self.problem)
         self.boundary = WindBoundary(self.problem, tagged_mesh, options.boundary)
 
     @property
@@ -140,7 +134,7 @@ class WindSolver:
     def derivatives(self, wind: WindSolution) -> tuple[np.ndarray, np.ndarray]:
         """Return the derivatives (2 m,) of the velocity of a unit wind with respect to R and to the direction.
 
-        ``wind`` must be the last solution, because the last factorisation is used, with two refinements. So the
+        ``wind`` must be the last solution, because the last factorisation is used, with one refinement. So the
         derivatives are exact up to the square of Newton's last step if that step made its own factorisation. With
         ``keep_factorisation`` the factorisation may be some steps older, and the derivatives are off by a per cent.
         """
@@ -159,10 +153,9 @@ class WindSolver:
         for force, fixed_part in ((by_reynolds, np.zeros(problem.unknowns)), (linear(turned), turned)):
             force[fixed] = 0.0
             change = -self._newton.factorisation.solve(force)
-            for _ in range(REFINEMENTS):
-                missed = force + linear(change)
-                missed[fixed] = 0.0
-                change -= self._newton.factorisation.solve(missed)
+            missed = force + linear(change)
+            missed[fixed] = 0.0
+            change -= self._newton.factorisation.solve(missed)
             velocities.append(problem.velocity(fixed_part + change))
         return velocities[0], velocities[1]
 
