@@ -117,16 +117,19 @@ class AMIS(Filter):
             if found is not None:
                 samples = samples.joined(replace(found, log_proposal=self._of_all(found, kernels, size)))
             batches += 1
-        # The same offset in all analyses: a policy that saw other members in every cycle would turn to and fro.
-        offset = rng.random() if window.memory is None else float(window.memory["offset"])
-        drawn, shares = members_drawn(samples.now.ensemble, weights, size, offset)
+        # The same offset and order in all analyses: a policy that saw other members in every cycle would turn to and
+        # fro. The order is a random one, because samples stand in the order of their batches.
+        known = window.memory or {"offset": np.array(rng.random()), "order": rng.permutation(size)}
+        always = {name: np.asarray(known[name]) for name in ("offset", "order")}
+        drawn, shares = members_drawn(samples.now.ensemble, weights, size, float(always["offset"]))
+        drawn, shares = drawn[always["order"]], shares[always["order"]]
         belief = rows(samples.now, drawn)
         members = ensemble.space.retract(belief.ensemble.members, np.zeros(ensemble.space.size))
         indices, chance = without_repeats(weights, self.archive * size, rng.random())
         kept = samples.taken(indices)
         kept = replace(kept, log_kept=kept.log_kept + np.log(chance))
         done = {"done": np.array(number + 1), "seen": np.array(readings_before(window, number + 1))}
-        memory = {**kept.to_memory(), **kernels.to_memory(), **done, "offset": np.array(offset)}
+        memory = {**kept.to_memory(), **kernels.to_memory(), **done, **always}
         diagnostics = self._diagnostics(samples, weights, batches * size)
         return Analysis(members, memory, diagnostics, shares, model_memory=belief.memory)
 
