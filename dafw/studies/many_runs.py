@@ -21,9 +21,10 @@ from dafw.core.composition import advised, compose, study_hydra, study_part
 from dafw.core.errors import ConfigurationError, RunError
 from dafw.core.experiment import study_from
 from dafw.core.files import write_atomically
+from dafw.core.progress import progress
 from dafw.core.workers import cores
 from dafw.studies.floors import composed_for_floors, find_floors, named
-from dafw.studies.reporting import log_file, progress
+from dafw.studies.reporting import log_file
 from dafw.studies.running import SHOWN_BY_BUILDING
 from dafw.studies.side_by_side import Task, run_side_by_side, status_of_run
 from dafw.studies.stopping import Interrupted, stop_signals
@@ -115,7 +116,7 @@ def _run(tasks: list[Task], total: int, workers: int) -> None:
     """Run the tasks with a progress bar, and log how each run ended."""
     failed = 0
     with (
-        progress(total, "run", total - len(tasks)) as bar,
+        progress(total, "run", done=total - len(tasks)) as bar,
         closing(run_side_by_side(tasks, workers)) as running,
     ):
         for task, error in running:
