@@ -18,8 +18,8 @@ from dafw.core.composition import advised, compose, study_hydra, study_part
 from dafw.core.errors import ConfigurationError, DafwError, RunError
 from dafw.core.experiment import study_from
 from dafw.core.files import write_atomically
+from dafw.core.progress import progress
 from dafw.studies.floor import floor_of
-from dafw.studies.reporting import progress
 from dafw.studies.study_files import Configuration, ManyRuns
 
 log = logging.getLogger("dafw")
@@ -64,7 +64,7 @@ def find_floors(study: ManyRuns, folder: Path, composed: Mapping[str, Any]) -> N
     kept = _kept(folder)
     keys = {one.name: _key(composed[one.name]) for one in study.configurations}
     todo = [one for one in study.configurations if kept.get(one.name, {}).get("key") != keys[one.name]]
-    with progress(len(keys), "floor", len(keys) - len(todo)) as bar:
+    with progress(len(keys), "floor", done=len(keys) - len(todo)) as bar:
         for one in todo:
             key = keys[one.name]
             same = next((entry for entry in kept.values() if entry["key"] == key), None)
