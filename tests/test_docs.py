@@ -57,6 +57,18 @@ REDUCED = {
         f"dafw study recommended {COARSE} {BASIS} members=4 --seeds 0 --configurations recommended",
         "one run with some 300 nodes, three members, one cycle, a basis of four winds",
     ),
+    r"^dafw study filters$": (
+        f"dafw study filters {COARSE} {BASIS} members=4 --seeds 300 --configurations true_wind,policy=route",
+        "one run as above",
+    ),
+    r"^dafw study mismatch$": (
+        f"dafw study mismatch {COARSE} {BASIS} members=4 --seeds 200 --configurations amount_off",
+        "one run and its floor as above",
+    ),
+    r"^dafw study ablation$": (
+        f"dafw study ablation {COARSE} {BASIS} members=4 --seeds 400 --configurations horizon_12",
+        "one run as above",
+    ),
     r"^dafw study leak.*": (
         f"dafw study leak {COARSE} {BASIS} members=4 --seeds 0 --configurations place_known",
         "one run with some 300 nodes, four members, one cycle, a basis of four winds",

@@ -183,8 +183,7 @@ class AMIS(Filter):
 
     def _diagnostics(self, samples: Candidates, weights: Array, runs: int) -> dict[str, Diagnostic]:
         """Return what is recorded of an analysis."""
-        of_sizes = np.exp(samples.fit - np.logaddexp.reduce(samples.fit, axis=1, keepdims=True))
-        absolute, relative = (weights @ of_sizes) @ self.likelihood.sizes
+        absolute, relative = self.likelihood.size_of_error(samples.fit, weights)
         named: dict[str, tuple[Any, str]] = {
             "runs": (runs, "runs of the model since the start in this analysis"),
             "samples": (len(samples), "samples weighted"),

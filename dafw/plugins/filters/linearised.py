@@ -67,7 +67,9 @@ def linearised(
     left = weights @ (changes - away @ slopes) ** 2
     errors = likelihood.variances(samples.predicted[best], samples.fit[best], window.values, window.covariance) + left
     missed = window.values - samples.predicted
-    pull = likelihood.pull(missed[best] ** 2 / errors) / errors
+    ages = [window.cycles[-1].number - cycle.number for cycle in window.cycles for _ in cycle.observation.values]
+    counted = likelihood.joined(likelihood.faded(np.array(ages))[..., np.newaxis])[:, 0]
+    pull = counted * likelihood.pull(missed[best] ** 2 / errors) / errors
     precision = (slopes * pull) @ slopes.T + np.eye(k) / REACH**2
     centres = systematic(chosen, n_centres, offset)
     asked = (missed[centres] * pull) @ slopes.T - away[centres] / REACH**2

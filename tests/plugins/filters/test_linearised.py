@@ -22,8 +22,12 @@ def case(predict, centre=TRUTH, n=30):
     """Samples about ``centre``, and a window with exact readings at ``TRUTH``."""
     rng = np.random.default_rng(3)
     coordinates = centre + rng.normal(size=(n, 2)) * [0.5, 0.3]
-    samples = SimpleNamespace(coordinates=coordinates, predicted=predict(coordinates), fit=np.zeros((n, 1)))
-    window = SimpleNamespace(values=predict(TRUTH[np.newaxis])[0], covariance=np.full(3, 0.03))
+    samples = SimpleNamespace(coordinates=coordinates, predicted=predict(coordinates), fit=np.zeros((n, 2, 1)))
+    values = predict(TRUTH[np.newaxis])[0]
+    cycles = [
+        SimpleNamespace(number=number, observation=SimpleNamespace(values=values[[number]])) for number in range(3)
+    ]
+    window = SimpleNamespace(values=values, covariance=np.full(3, 0.03), cycles=cycles)
     return samples, window, np.full(n, 1.0 / n)
 
 
@@ -69,6 +73,14 @@ def test_a_heavy_tail_gives_an_outlier_little_pull():
         np.abs(proposal(samples, window, weights, one)[0] - TRUTH).max()
         for one in (LIKELIHOOD, Likelihood(absolute=[0.1], degrees_of_freedom=4.0))
     ]
+    assert misled[1] < 0.1 * misled[0]
+
+
+def test_old_readings_pull_less_if_readings_fade():
+    samples, window, weights = case(linear)
+    window.values = window.values + np.array([50.0, 0.0, 0.0])
+    fading = Likelihood(absolute=[0.1], half_life=0.1, lasting=0.0)
+    misled = [np.abs(proposal(samples, window, weights, one)[0] - TRUTH).max() for one in (LIKELIHOOD, fading)]
     assert misled[1] < 0.1 * misled[0]
 
 
