@@ -24,8 +24,8 @@ def read_csv(path: Path, options: FileOptions) -> Table:
     except UnicodeDecodeError as error:
         line = error.object[: error.start].count(b"\n") + 1
         raise about(name, "expected text in UTF-8, got something else", "line", line) from None
-    head, *body = _lines(text, options, name)
-    _, headers = head
+    lines = _lines(text, options, name)
+    headers, body = lines[0][1], lines[1:]
     places = find_columns(headers, options.columns, name)
     rows, cells = [], []
     for number, line in body:
@@ -73,8 +73,8 @@ def _lines(text: str, options: FileOptions, name: str) -> list[tuple[int, list[s
 def _split(stream: io.StringIO, first: str, options: FileOptions) -> Iterator[tuple[int, list[str]]]:
     """Yield the number and the cells of every line."""
     if options.delimiter == "space":
-        for number, line in enumerate(stream, 1):
-            yield number, line.split()
+        for number, text in enumerate(stream, 1):
+            yield number, text.split()
         return
     delimiter = DELIMITERS.get(options.delimiter) or max(DELIMITERS.values(), key=first.count)
     reader = csv.reader(stream, delimiter=delimiter, strict=True, skipinitialspace=delimiter != "\t")

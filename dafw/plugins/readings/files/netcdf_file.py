@@ -1,4 +1,4 @@
-"""Readings in netCDF, as CF discrete sampling geometries: ``featureType`` timeSeries (stations) or trajectory (vehicles).
+"""Readings in netCDF, as CF discrete sampling geometries: ``timeSeries`` (stations) or ``trajectory`` (vehicles).
 
 Read are single features, arrays with a dimension of instances, and contiguous and indexed ragged arrays (CF-1.11,
 appendix H). Written are indexed ragged arrays, which keep the order of the readings.
