@@ -184,7 +184,7 @@ class Recorded(FileOptions, Readings):
         return fitted
 
     def take_with_memory(self, request: Request, memory: Memory | None, rng: np.random.Generator) -> Taken:
-        """Return an observation for each time of which readings arrived in this cycle; the first one has earlier ones."""
+        """Return an observation for each time of which readings arrived in this cycle, or by then in the first."""
         fitted = self._fitted(request.space, request.domain)
         slack = FORGIVEN * (request.end - request.start)
         opened = -np.inf if request.cycle == 0 else request.start + slack

@@ -22,8 +22,8 @@ def read_csv(path: Path, options: FileOptions) -> Table:
     try:
         text = path.read_bytes().decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        line = error.object[: error.start].count(b"\n") + 1
-        raise about(name, "expected text in UTF-8, got something else", "line", line) from None
+        wrong = error.object[: error.start].count(b"\n") + 1
+        raise about(name, "expected text in UTF-8, got something else", "line", wrong) from None
     lines = _lines(text, options, name)
     headers, body = lines[0][1], lines[1:]
     places = find_columns(headers, options.columns, name)
