@@ -76,6 +76,10 @@ class Readings(Plugin):
     def suit(self, space: StateSpace, domain: Domain | None, dt: float) -> None:
         """Raise ConfigurationError if the options do not fit a state space, its domain and a time step (s)."""
 
+    def notes(self) -> list[str]:
+        """Return sentences for the log about where the readings come from; called after ``suit``."""
+        return []
+
     def initial_memory(self) -> Memory | None:
         """Return the memory that the first request is given."""
         return None

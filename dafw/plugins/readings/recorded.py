@@ -82,11 +82,6 @@ class Recorded(FileOptions, Readings):
     start: float | str | None = option(
         None, "what is t = 0: a time as in the file (s, or a date), or first: its first reading; null: 0 s"
     )
-    place: str = option(
-        "auto",
-        "which columns say where: metres (x, y), degrees (lon, lat) or entry; auto: the first of these that are there",
-        choices=["auto", "metres", "degrees", "entry"],
-    )
     origin: list[float] | None = option(None, "[lon, lat] of the plane's (0, 0) in degrees; null: that of the site")
     variable: str | None = option(None, "state variable that was read; null: the first")
     unit: str | None = option(None, "unit of the values; null: what the file says, else that of the variable")
@@ -110,7 +105,7 @@ class Recorded(FileOptions, Readings):
     @classmethod
     def check_options(cls) -> Mapping[str, Any]:
         """Return the file that ships with dafw, from a time at which its drone was in the kit's rectangle."""
-        return {"file": EXAMPLE, "start": 0.0}
+        return {"file": EXAMPLE, "start": 15.0}
 
     def __post_init__(self) -> None:
         if self.origin is not None and not (
@@ -205,10 +200,13 @@ class Recorded(FileOptions, Readings):
             taken.append(Observation(fitted.values[rows], operator, time))
         if request.cycle:
             return Taken(taken)
-        return Taken(taken, notes=(self._note(fitted),), left_out={k: n for k, n in fitted.counts.items() if n})
+        return Taken(taken, left_out={reason: count for reason, count in fitted.counts.items() if count})
 
-    def _note(self, fitted: Fitted) -> str:
+    def notes(self) -> list[str]:
         """Return what the file holds and how it is used, in one sentence."""
+        if "_kept" not in self.__dict__:
+            return []
+        fitted: Fitted = self.__dict__["_kept"][2]
         time = fitted.table.number("time")
         parts = [f"{len(self.rows)} rows in {self.rows.path}", f"{len(time)} are readings of the site"]
         parts += [f"of t = {time.min():g} to {time.max():g} s"] if len(time) else []
@@ -216,4 +214,4 @@ class Recorded(FileOptions, Readings):
         parts += [f"{self.usable.below} below the detection limit"] if self.usable.below else []
         if not all(fitted.table.text("unit")):
             parts += ["values without a unit are taken in that of the variable"]
-        return f"{self.label}: {', '.join(parts)}"
+        return [f"{self.label}: {', '.join(parts)}"]

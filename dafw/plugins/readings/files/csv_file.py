@@ -59,7 +59,7 @@ def _lines(text: str, options: FileOptions, name: str) -> list[tuple[int, list[s
     found = []
     try:
         for number, line in _split(stream, first, options):
-            if any(cell.strip() for cell in line):
+            if len(line) > 1 or any(cell.strip() for cell in line):
                 found.append((options.skip + number, line))
     except csv.Error as error:
         number = options.skip + text.count("\n", position, stream.tell())

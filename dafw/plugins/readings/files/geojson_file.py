@@ -20,8 +20,8 @@ GEOMETRY = "coordinates of the point"
 def read_geojson(path: Path, options: FileOptions) -> Table:
     """Return the readings of a file; raises ReadingsError, which names the feature and the property.
 
-    Longitude and latitude are those of the point, unless ``columns`` names properties for them. A feature may be
-    without a point if its properties say where it is.
+    Longitude and latitude are those of the point, unless properties of these names say others. Where properties x and
+    y give the place in metres, points are not read.
     """
     name = str(path)
     features = _features(_parsed(path, name), name)
@@ -42,7 +42,8 @@ def read_geojson(path: Path, options: FileOptions) -> Table:
         role: [given.get(headers[place]) for given in properties] for role, place in found.items()
     }
     names = {role: headers[place] for role, place in found.items()}
-    if any(place is not None for place in places) and not {"lon", "lat"} & set(found):
+    in_metres = {"x", "y"} <= set(found) and options.place in ("auto", "metres")  # the points are for maps only
+    if any(place is not None for place in places) and not {"lon", "lat"} & set(found) and not in_metres:
         for axis, role in enumerate(("lon", "lat")):
             cells[role] = [None if place is None else place[axis] for place in places]
             names[role] = GEOMETRY
@@ -116,7 +117,8 @@ def _points(table: Table, origin: tuple[float, float] | None) -> list[list[float
     lon, lat = table.number("lon"), table.number("lat")
     if "lon" not in table.numbers and origin is not None and "x" in table.numbers:
         lon, lat = to_degrees(np.stack([table.number("x"), table.number("y")], axis=1), origin).T
-    return [None if np.isnan(x) or np.isnan(y) else [x, y] for x, y in zip(lon.tolist(), lat.tolist(), strict=True)]
+    places = zip(lon.tolist(), lat.tolist(), strict=True)
+    return [[x, y] if abs(x) <= 360.0 and abs(y) <= 90.0 else None for x, y in places]
 
 
 def _is_property(table: Table, role: str) -> bool:

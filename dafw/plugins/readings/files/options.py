@@ -34,6 +34,11 @@ class FileOptions:
 
     file: str = option(REQUIRED, "path of a .csv, .nc or .geojson file, or 'example' for the one that ships with dafw")
     columns: ColumnOptions = option(ColumnOptions, "which column holds what")
+    place: str = option(
+        "auto",
+        "which columns say where: metres (x, y), degrees (lon, lat) or entry; auto: the first of these that are there",
+        choices=["auto", "metres", "degrees", "entry"],
+    )
     format: str = option(
         "by_name",
         "format of the file; by_name: from the end of its name",

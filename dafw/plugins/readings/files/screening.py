@@ -61,8 +61,8 @@ def start_of(table: Table, start: float | str | None) -> float:
     if not isinstance(start, str):
         first = table.date(float(time.min())) if len(table) else table.date(0.0)
         raise table.error(
-            f"its times are dates, the first of a reading is {first}: expected the option start, the date that is t = 0, "
-            f"or 'first'" + ("" if start is None else f", got {start:g}")
+            f"its times are dates, the first of a reading is {first}: expected the option start, the date "
+            f"that is t = 0, or 'first'" + ("" if start is None else f", got {start:g}")
         )
     moment = parsed_date(start, None)
     if moment is None:
