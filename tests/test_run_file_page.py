@@ -78,7 +78,16 @@ def ponds(**more):
     return Study(**({"model": Ponds(), "filter": ETKF(), "readings": LISTED, "members": 3, "cycles": 3} | more))
 
 
-PLANT = {"mesh", "buildings", "named places", "section", "policy `enie2d`", "model `ad_ins`"}
+PLANT = {
+    "mesh",
+    "buildings",
+    "named places",
+    "section",
+    "policy `enie2d`",
+    "model `ad_ins`",
+    "sensors",
+    "place on Earth",
+}
 STUDIES = {
     "plant": (plant, {"truth", "free run", "window", "members", "places"} | PLANT),
     "without a truth": (ponds, {"members", "places", "other places"}),
