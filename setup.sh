@@ -95,6 +95,8 @@ prepare() ( # a subshell: the command starts where the caller stands; descriptor
     if [ -n "$missing" ]; then install_system_packages "$missing"; fi
     report=$("$environment/bin/python" dafw/commands/doctor.py --system) || die 2 "the system is not ready:
 $report"
+    say "compiling what a run imports"
+    "$environment/bin/python" dafw/commands/first_imports.py || die 1 "what a run needs cannot be imported (see above)"
     stamp >"$environment/stamp.new"
     mv "$environment/stamp.new" "$environment/stamp"
 )

@@ -13,7 +13,7 @@ from contextlib import ExitStack
 import numpy as np
 
 from benchmarks import Measurement, benchmark
-from benchmarks.cycle import SMALL, running
+from benchmarks.cycle import SMALL, TOY_BASIS, running
 from benchmarks.wind import timed
 from dafw.core.observation import Selection
 from dafw.core.rerun import Replay, Rerun
@@ -21,8 +21,6 @@ from dafw.core.rng import Streams
 from dafw.plugins.models.dispersion.transport.transport import LEAST_KEPT
 
 STREAMS = Streams(1000)
-TOY = tuple(f"model.wind.basis.{name}" for name in ("directions=4", "levels=1", "modes=6", "tolerance=1"))
-"""A basis that is quickly made, for short runs; all of its winds are accepted."""
 REDUCED = ("pictures=false", "model.wind.solver=reduced", "model.noise=0", "executor=serial")
 
 
@@ -74,7 +72,7 @@ def over_stepping(overrides: Sequence[str], lengths: Sequence[int], n_members: i
 
 def _case(short: bool, experiment: str, baseline: float, *overrides: str) -> Measurement:
     if short:
-        return over_stepping([*SMALL, *TOY, *REDUCED, *overrides], (4, 8), 2, baseline)
+        return over_stepping([*SMALL, *TOY_BASIS, *REDUCED, *overrides], (4, 8), 2, baseline)
     return over_stepping([f"experiment={experiment}", *REDUCED, *overrides], 4 * (50, 100), 10, baseline)
 
 

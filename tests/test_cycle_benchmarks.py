@@ -13,7 +13,8 @@ from benchmarks.cycle import SMALL
 
 ROOT = Path(__file__).parent.parent
 RERUNS = ["rerun.over_stepping_2k7", "rerun.fct_over_stepping_2k7"]
-NAMES = ["cycle.realtime_factor_n10", "cycle.over_literal", "cycle.overhead_ms", *RERUNS]
+RECOMMENDED = [f"cycle.realtime_recommended{size}" for size in ("", "_10k", "_10k_n100")]
+NAMES = ["cycle.realtime_factor_n10", *RECOMMENDED, "cycle.over_literal", "cycle.overhead_ms", *RERUNS]
 
 
 @pytest.fixture(scope="module")
@@ -33,6 +34,14 @@ def test_all_of_them_run(results):
 def test_both_configurations_come_to_the_same_belief(results):
     detail = results["cycle.over_literal"]["detail"]
     assert detail["err_best"] == pytest.approx(detail["err_literal"], rel=1e-3)
+
+
+def test_recommended_runs_name_their_goals_and_what_was_run(results):
+    assert [results[name]["baseline"] for name in RECOMMENDED] == [10.0, 3.0, 1.0]
+    for name in RECOMMENDED:
+        overrides = results[name]["detail"]["overrides"]
+        assert overrides[0] == "experiment=enie2d"
+        assert ("executor=processes" in overrides) == ("10k" in name)
 
 
 @pytest.mark.parametrize("name", RERUNS)

@@ -30,7 +30,7 @@ PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").g
 MESH = "model.mesh.wall_size=60 model.mesh.far_size=90 model.mesh.across=1"
 COARSE = f"cycles=1 members=3 pictures=false {MESH}"
 BASIS = "model.wind.basis.directions=4 model.wind.basis.levels=1 model.wind.basis.modes=6 model.wind.basis.tolerance=1"
-FLAGSHIP = r"^dafw run(?!.*--cfg)(?!.*experiment=(?!enie2d))(?!.*~experiment).*$"
+FLAGSHIP = r"^dafw run(?!.*--cfg)(?!.*experiment=(?!enie2d|leak))(?!.*~experiment).*$"
 BENCHMARKS = f"PYTHONPATH={ROOT} python -m benchmarks"
 REDUCED = {
     r"^sh setup\.sh (?=dafw )": ("", "the clone is set up already; tests/test_setup_script.py does it anew"),
@@ -57,6 +57,23 @@ REDUCED = {
         f"dafw study recommended {COARSE} {BASIS} members=4 --seeds 0 --configurations recommended",
         "one run with some 300 nodes, three members, one cycle, a basis of four winds",
     ),
+    r"^dafw study filters$": (
+        f"dafw study filters {COARSE} {BASIS} members=4 --seeds 300 --configurations true_wind,policy=route",
+        "one run as above",
+    ),
+    r"^dafw study mismatch$": (
+        f"dafw study mismatch {COARSE} {BASIS} members=4 --seeds 200 --configurations amount_off",
+        "one run and its floor as above",
+    ),
+    r"^dafw study ablation$": (
+        f"dafw study ablation {COARSE} {BASIS} members=4 --seeds 400 --configurations horizon_12",
+        "one run as above",
+    ),
+    r"^dafw study leak.*": (
+        f"dafw study leak {COARSE} {BASIS} members=4 --seeds 0 --configurations place_known",
+        "one run with some 300 nodes, four members, one cycle, a basis of four winds",
+    ),
+    r"^dafw run experiment=leak.*$": (rf"\g<0> {BASIS}", "a basis of four winds"),
     r"^dafw study tiny --seeds .*": (
         r"dafw study tiny cycles=5 --seeds 0-1 --configurations 'etkf*'",
         "the folder has runs of five cycles",

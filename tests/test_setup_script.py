@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import re
 import shutil
 import subprocess
@@ -11,7 +12,7 @@ from pathlib import Path
 import pytest
 from waiting import PATIENCE
 
-from dafw.commands import doctor_findings
+from dafw.commands import doctor_findings, first_imports
 
 CHECKOUT = Path(__file__).resolve().parents[1]
 TOOLS = ["sh", "cat", "cksum", "dirname", "echo", "env", "flock", "ln", "mkdir", "mv", "rm", "sed", "sleep", "true"]
@@ -32,6 +33,12 @@ print(lacking if "--packages" in sys.argv else f"MISSING {lacking}")
 sys.exit("--system" in sys.argv and lacking != "")
 """
 
+# Imitates dafw/commands/first_imports.py, and fails if the file `broken` is beside it.
+IMPORTS = """
+import sys, pathlib
+sys.exit(pathlib.Path(__file__).with_name("broken").exists())
+"""
+
 
 class World:
     """A checkout with setup.sh, a folder of commands that is the whole PATH, and a log of what was called."""
@@ -44,6 +51,7 @@ class World:
         self.write("requirements.lock", "numpy==2\n")
         self.write("pyproject.toml", "[project]\n")
         self.write("dafw/commands/doctor.py", DOCTOR)
+        self.write("dafw/commands/first_imports.py", IMPORTS)
         self.write("dafw/commands/lacking", "")
         for tool in TOOLS:
             if path := shutil.which(tool):
@@ -96,6 +104,18 @@ def test_first_call_sets_up_and_runs_the_command_where_the_caller_stands(world, 
     assert log[0].startswith("uv venv") and str(world.bin / "python3.12") in log[0]
     assert "pip install" in log[1] and "--require-hashes -r requirements.lock" in log[1]
     assert "pip install" in log[2] and log[2].endswith("--no-deps --no-build-isolation -e .")
+
+
+def test_what_cannot_be_imported_ends_the_set_up_and_is_tried_again(world):
+    world.write("dafw/commands/broken", "")
+    status, out, err = world.run("sh", "-c", "echo done")
+    assert (status, out) == (1, "") and "cannot be imported" in err
+    (world.checkout / "dafw/commands/broken").unlink()
+    assert world.run("sh", "-c", "echo done")[:2] == (0, "done\n")
+
+
+def test_the_modules_that_set_up_imports_are_there():
+    assert all(importlib.util.find_spec(module) for module in first_imports.MODULES)
 
 
 def test_second_call_needs_neither_uv_nor_words(world):

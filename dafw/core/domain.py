@@ -69,6 +69,22 @@ class Domain:
         near = (x_min <= max(x, x_end)) & (x_max >= min(x, x_end)) & (y_min <= max(y, y_end)) & (y_max >= min(y, y_end))
         return not (near.any() and self._touches(near, start, end))
 
+    def hindrance(self, start: Array, end: Array) -> str | None:
+        """Return what keeps a vehicle from flying from ``start`` (2,) to ``end`` (2,); None if the way is free.
+
+        The name of an obstacle that the segment touches, the nearest one to ``start``, or ``the edge of the domain``.
+        """
+        import shapely
+
+        if self.is_free(start, end):
+            return None
+        if not (self.contains(start) and self.contains(end)):
+            return "the edge of the domain"
+        met = np.flatnonzero(shapely.intersects(self._polygons, shapely.linestrings([start, end])))
+        nearest = int(met[np.argmin(shapely.distance(self._polygons[met], shapely.points(start)))])
+        name = self.obstacle_names[nearest] if nearest < len(self.obstacle_names) else ""
+        return name or f"obstacle {nearest}"
+
     def are_free(self, starts: Array, ends: Array) -> NDArray[np.bool_]:
         """Return ``is_free`` (k,) for many segments at once, from ``starts`` to ``ends``, both (k, 2)."""
         import shapely

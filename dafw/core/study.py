@@ -172,6 +172,7 @@ class Study:
         self.observer.suit(model.space, model.dt)
         self.observer.look(model.space, Route.hover(vehicle), 0.0)
         self.policy.suit(model.space)
+        self.policy.suit_vehicles(vehicle)
         self.filter.suit(model.space, self.members)
         if self.filter.weighs_first_guess:
             model.require_log_first_guess()

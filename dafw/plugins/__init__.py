@@ -23,6 +23,7 @@ def dafw_plugins() -> list[PluginSpec]:
         PluginSpec("observer", "none", f"{_HERE}.observers.none:NoObserver", "reads nothing"),
         PluginSpec("policy", "enie2d", f"{_HERE}.policies.enie2d:EnIE2D", "towards spread and concentration"),
         PluginSpec("policy", "look_ahead", f"{_HERE}.policies.look_ahead:LookAhead", "to where members will disagree"),
+        PluginSpec("policy", "route", f"{_HERE}.policies.route:ListedRoute", "along listed points, whatever is read"),
         PluginSpec("policy", "stationary", f"{_HERE}.policies.stationary:Stationary", "every vehicle hovers"),
         PluginSpec("filter", "etkf", f"{_HERE}.filters.etkf:ETKF", "ensemble transform Kalman filter"),
         PluginSpec("filter", "enkf", f"{_HERE}.filters.enkf:EnKF", "stochastic EnKF with perturbed observations"),

@@ -11,13 +11,15 @@ not on the filter, the route or the readings, and on the seed only where the tru
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from dafw.core.cycle import Parts
 from dafw.core.diagnostics import error_of
 from dafw.core.errors import ConfigurationError, DivergenceError, SolverError
+from dafw.core.rerun import Rerun
+from dafw.core.rng import Streams
 from dafw.core.space import FIELD, Array
 from dafw.core.study import Study
 from dafw.plugins.filters.controls import Controls
@@ -41,11 +43,12 @@ class Floor:
     runs: int
 
 
-def floor_of(study: Study, *, most_runs: int = 200, tolerance: float = 2e-3) -> Floor:
+def floor_of(study: Study, *, most_runs: int = 200, tolerance: float = 2e-3, any_seed: bool = False) -> Floor:
     """Return the smallest ERR at the end of a study that constant parameters reach.
 
     ``most_runs`` bounds the runs of the model. The search ends if the coordinates change by less than ``tolerance``.
-    Raises ConfigurationError if the study has no truth, or its model no unknown numbers.
+    Raises ConfigurationError if the study has no truth, or its model no unknown numbers; with ``any_seed`` also if
+    the floor would be another one for another seed, because the truth or the model's error is drawn at random.
     """
     from scipy.optimize import minimize
 
@@ -58,13 +61,19 @@ def floor_of(study: Study, *, most_runs: int = 200, tolerance: float = 2e-3) -> 
         raise ConfigurationError(f"{parts.model.label} has no single numbers, so there are no parameters to search for")
     controls, rerun = Controls(space, names), parts.rerun
     numbers, truth = _truth(parts, study.cycles)
+    another = replace(parts, streams=Streams((study.seed + 1) % 2**63))
+    if any_seed and not np.array_equal(truth, _truth(another, study.cycles)[1], equal_nan=True):
+        raise ConfigurationError(
+            f"{study.truth.label}: the truth differs from seed to seed, so there is no floor for all seeds: expected a "
+            f"truth without random numbers"
+        )
     guesses = rerun.first_guess(GUESSES, "floor", 0)
     start = guesses.with_members(guesses.mean[np.newaxis])
     known = np.where(np.isnan(numbers), guesses.mean, numbers)[np.newaxis]
     begin = controls.coordinates(known)[0]
     runs = 0
 
-    def error(coordinates: Array) -> float:
+    def error(coordinates: Array, rerun: Rerun = rerun) -> float:
         nonlocal runs
         runs += 1
         members = controls.at(rerun, start.members, coordinates[np.newaxis])
@@ -80,6 +89,11 @@ def floor_of(study: Study, *, most_runs: int = 200, tolerance: float = 2e-3) -> 
     options = {"initial_simplex": simplex, "maxfev": most_runs, "xatol": tolerance, "fatol": 0.02}
     parts.executor.start(parts.model, study.model_configuration)
     with parts.executor:
+        if any_seed and error(begin) != error(begin, another.rerun):
+            raise ConfigurationError(
+                f"{parts.model.label}: its error differs from seed to seed, so there is no floor for all seeds: "
+                f"expected a model without random numbers"
+            )
         found = minimize(error, begin, method="Nelder-Mead", options=options)
     best = controls.at(rerun, start.members, found.x[np.newaxis])[0, controls.entries]
     return Floor(float(found.fun), dict(zip(names, map(float, best), strict=True)), runs)

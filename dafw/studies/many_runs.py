@@ -2,6 +2,7 @@
 
 FOLDER/request.json                       the composed configurations, so that other ones are never mixed in
 FOLDER/runs/CONFIGURATION/seed=N/         one run each, as ``dafw run`` leaves it
+FOLDER/floors.json                        the floors, where the study file asks for them (``dafw.studies.floors``)
 FOLDER/study.nc, summary.json, table.md, figures/    the results (``dafw.studies.results``)
 """
 
@@ -20,8 +21,10 @@ from dafw.core.composition import advised, compose, study_hydra, study_part
 from dafw.core.errors import ConfigurationError, RunError
 from dafw.core.experiment import study_from
 from dafw.core.files import write_atomically
+from dafw.core.progress import progress
 from dafw.core.workers import cores
-from dafw.studies.reporting import log_file, progress
+from dafw.studies.floors import composed_for_floors, find_floors, named
+from dafw.studies.reporting import log_file
 from dafw.studies.running import SHOWN_BY_BUILDING
 from dafw.studies.side_by_side import Task, run_side_by_side, status_of_run
 from dafw.studies.stopping import Interrupted, stop_signals
@@ -57,7 +60,7 @@ def composed(study: ManyRuns, more: Path | None = None) -> dict[str, Any]:
             values = study_part(compose(words, more, hydra=hydra))
             study_from(values)
         except ConfigurationError as error:
-            raise _named(one, advised(error, words, more)) from error
+            raise named(one, advised(error, words, more)) from error
         values.pop("seed")
         found[one.name] = json.loads(json.dumps(values))
     return found
@@ -77,9 +80,10 @@ def run_missing(
     With ``retry`` failed runs are run again. ``whole`` is the study of which this is a part: its configurations
     belong to the folder, too. Before anything is run, everything is composed and checked. Raises ConfigurationError
     for a wrong request, also if the folder's configurations are not the study's; RunError if another process works in
-    the folder; Interrupted, which says how many runs there are.
+    the folder; Interrupted, which says how many runs there are; another DafwError if a floor cannot be found.
     """
     configurations = composed(whole or study, more)
+    for_floors = composed_for_floors(study, more)
     workers = workers or cores()
     for one in study.configurations:
         executor = configurations[one.name]["executor"]["name"]
@@ -98,6 +102,7 @@ def run_missing(
             if tasks:
                 _make_ready({one.name: one for one, _ in todo}, configurations)
             _note_request(folder, configurations)
+            find_floors(study, folder, for_floors)
             _run(tasks, len(there), workers)
         except KeyboardInterrupt:
             ended = sum(status not in TO_BE_RUN for status in statuses(study, folder).values())
@@ -111,7 +116,7 @@ def _run(tasks: list[Task], total: int, workers: int) -> None:
     """Run the tasks with a progress bar, and log how each run ended."""
     failed = 0
     with (
-        progress(total, "run", total - len(tasks)) as bar,
+        progress(total, "run", done=total - len(tasks)) as bar,
         closing(run_side_by_side(tasks, workers)) as running,
     ):
         for task, error in running:
@@ -188,8 +193,4 @@ def _make_ready(configurations: Mapping[str, Configuration], values: Mapping[str
             for model in study.models.values():
                 model.pinned_options()  # finds, and so makes, what the options leave open
         except ConfigurationError as error:
-            raise _named(one, error) from error
-
-
-def _named(configuration: Configuration, error: ConfigurationError) -> ConfigurationError:
-    return type(error)(f"configuration '{configuration.name}': {error}")
+            raise named(one, error) from error

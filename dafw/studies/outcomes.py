@@ -14,6 +14,7 @@ from dafw.core.grid_of_runs import join
 from dafw.core.runs import open_run
 from dafw.core.space import Kind, StateSpace
 from dafw.core.space import Variable as StateVariable
+from dafw.studies.floors import known_floors
 from dafw.studies.many_runs import run_folder
 from dafw.studies.side_by_side import summary_of_run
 from dafw.studies.study_files import ManyRuns
@@ -54,6 +55,11 @@ def gather(study: ManyRuns, folder: Path) -> Dataset:
     joined = joined.assign_coords({"overrides": ("configuration", np.array(overrides))})
     joined.attrs = {"title": study.title, "study": study.name, "success_below_percent": study.success}
     joined = joined.assign(time_to_success=_time_to_success(joined, study.success))
+    if study.floor is not None:
+        floors = known_floors(study, folder)
+        values = [floors.get(one.name, np.nan) for one in study.configurations]
+        long_name = "smallest ERR at the end that was found with constant parameters"
+        joined["floor"] = Variable("configuration", values, {"units": "percent", "long_name": long_name})
     joined["seed"].attrs["long_name"] = "seed of every random number of a run"
     joined["status"].attrs["long_name"] = "how a run ended: complete, failed, interrupted or missing"
     return joined

@@ -111,10 +111,3 @@ def log_domain(parts: Parts) -> None:
     log.info("state: %r", parts.model.space)
     if parts.model.domain is not None:
         log.info("domain: %s m, %d obstacles", parts.model.domain.bounds, len(parts.model.domain.obstacles))
-
-
-def progress(total: int, unit: str = "cycle", done: int = 0) -> Any:
-    """Return a progress bar of ``total`` cycles, or other units; it prints nothing if there is no terminal."""
-    from tqdm import tqdm
-
-    return tqdm(total=total, initial=done, unit=unit, disable=None, file=sys.stderr, dynamic_ncols=True)

@@ -19,9 +19,10 @@ from dafw.core.ensemble import Vehicle
 from dafw.core.errors import ComputationError, ConfigurationError, DafwError, RecordError, RunError
 from dafw.core.files import claim, write_atomically
 from dafw.core.plugin import by_plugin
+from dafw.core.progress import progress
 from dafw.core.record import Record
 from dafw.core.study import Study
-from dafw.studies.reporting import closing_line, log_domain, log_file, postfix, progress, sentence, warn_once
+from dafw.studies.reporting import closing_line, log_domain, log_file, postfix, sentence, warn_once
 from dafw.studies.stopping import Interrupted, Stop, stop_signals
 from dafw.studies.summary import Summary
 
@@ -128,7 +129,7 @@ class _Run:
                 fields=study.record_fields,
             )
         logged = 0.0
-        with progress(study.cycles) as bar:
+        with progress(study.cycles, "cycle") as bar:
             for done in range(1, study.cycles + 1):
                 cycle = advance(parts, state)
                 recorded = perf_counter()

@@ -51,18 +51,25 @@ class StudyFile:
     configurations: dict[str, list[str]] = option({}, "overrides of each configuration, by its name")
     axes: dict[str, Any] = option({}, "values of an override, or lists of overrides by name; all are combined")
     seeds: Any = option("0-9", "seeds: a range such as 100-199, or a list of numbers and ranges")
+    floor: Any = option(
+        False, "true: find the smallest ERR of constant parameters; or a list of overrides under which it is searched"
+    )
     success: float = option(50.0, "a run succeeds if its ERR at the end is below this, in per cent", above=0.0)
 
 
 @dataclass(frozen=True)
 class ManyRuns:
-    """A study file's request: its configurations, each to be run on every seed."""
+    """A study file's request: its configurations, each to be run on every seed.
+
+    ``floor``: overrides under which the floor of each configuration is searched for; None: it is not.
+    """
 
     name: str
     title: str
     configurations: tuple[Configuration, ...]
     seeds: tuple[int, ...]
     success: float
+    floor: tuple[str, ...] | None = None
 
 
 def load_study(name: str, more: Path | None = None, overrides: Sequence[str] = ()) -> ManyRuns:
@@ -98,6 +105,7 @@ def study_of(name: str, entries: Any, overrides: Sequence[str] = ()) -> ManyRuns
         configurations=_configurations(file, overrides, where),
         seeds=parse_seeds(file.seeds, f"{where}, seeds"),
         success=file.success,
+        floor=_floor(file.floor, where),
     )
 
 
@@ -147,6 +155,15 @@ def _configurations(file: StudyFile, more: Sequence[str], where: str) -> tuple[C
                     raise ConfigurationError(f"{where}: '{word}': the seeds stand under seeds, or in --seeds")
             found[name] = Configuration(name, overrides, place)
     return tuple(found.values())
+
+
+def _floor(given: Any, where: str) -> tuple[str, ...] | None:
+    """Return the overrides under which floors are searched for, None if they are not."""
+    if isinstance(given, bool):
+        return () if given else None
+    if not given or not _are_texts(given):
+        raise ConfigurationError(f"{where}: floor must be true, false or a list of overrides, got {given!r}")
+    return tuple(given)
 
 
 def _axis(name: str, values: Any, where: str) -> dict[str, list[str]]:

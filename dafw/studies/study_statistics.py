@@ -20,6 +20,8 @@ LEVEL = 0.95
 """Share of the resampled statistics that an interval holds."""
 SEED = 20_240_611
 """Seed of the resampling: the same runs give the same intervals."""
+NO_FLOOR = 0.1
+"""A floor below this, in per cent, is that of a truth that the model can be: nothing is compared with it."""
 CLOSE = {"wind_found_rate": (0.05, 5.0), "wind_found_rate_2": (0.02, 2.0)}
 """How near the last wind must be to the truth: its speed as a fraction, its direction in degrees."""
 
@@ -66,10 +68,11 @@ def configuration_summary(results: Dataset, name: str) -> dict[str, Any]:
         "n_failed": int((status == "failed").sum()),
         "n_missing": int(np.isin(status, ("missing", "interrupted")).sum()),
     }
-    found: dict[str, float | None] = {}
+    floor = float(one["floor"]) if "floor" in one else np.nan
+    found: dict[str, float | None] = {"floor": _finite(floor)}
     intervals: dict[str, list[float | None]] = {}
     exact: dict[str, list[float]] = {}
-    for key, (values, statistic, is_rate) in _statistics(one, float(results.attrs["success_below_percent"])):
+    for key, (values, statistic, is_rate) in _statistics(one, float(results.attrs["success_below_percent"]), floor):
         found[key] = _finite(statistic(values, axis=0)) if values.size else None
         if values.size > 1 and not key.startswith("worst_"):  # resampling says nothing about an extreme
             intervals[key] = bootstrap_interval(values, statistic, f"{name} {key}")
@@ -81,8 +84,11 @@ def configuration_summary(results: Dataset, name: str) -> dict[str, Any]:
     return summary | found | ends | {"intervals": intervals, "exact_intervals": exact}
 
 
-def _statistics(one: Dataset, success: float) -> Iterator[tuple[str, Statistic]]:
-    """Yield the statistics of a configuration (dims seed, time) by their names, in the order of the summary."""
+def _statistics(one: Dataset, success: float, floor: float) -> Iterator[tuple[str, Statistic]]:
+    """Yield the statistics of a configuration (dims seed, time) by their names, in the order of the summary.
+
+    ``success`` and ``floor`` in per cent; the floor is NaN if there is none.
+    """
     ended = np.isin(one["status"].values, ("complete", "failed"))
     complete = one["status"].values == "complete"
     nothing: Array = np.empty(0)
@@ -104,6 +110,7 @@ def _statistics(one: Dataset, success: float) -> Iterator[tuple[str, Statistic]]
     yield "median_err", (err, np.median, False)
     yield "worst_err", (err, np.max, False)
     yield "median_err_ratio", (ratio, np.median, False)
+    yield "median_err_over_floor", (err / floor if floor >= NO_FLOOR else nothing, np.median, False)
     for name, (share, degrees) in CLOSE.items():
         speed = _of_seeds(one, "final_wind_speed_off") / _of_seeds(one, "final_wind_speed_truth")
         direction = np.degrees(_of_seeds(one, "final_wind_direction_off"))

@@ -11,6 +11,8 @@ COLUMNS = {
     "median_err": ("median ERR", "%"),
     "worst_err": ("worst ERR", "%"),
     "median_err_ratio": ("ERR / free run's", "2"),
+    "floor": ("floor", "%"),
+    "median_err_over_floor": ("ERR / floor", "2"),
     "wind_found_rate": ("wind found", "rate"),
     "wind_found_rate_2": ("wind within 2 %", "rate"),
     "median_time_to_50": ("time to success", "s"),

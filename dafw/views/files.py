@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from dafw.core.errors import RunError
 from dafw.core.files import atomic_file
+from dafw.core.progress import long_task
 from dafw.core.runs import open_run
 from dafw.core.sweeps import RECORD, is_sweep, run_folders, sweep_folder
 from dafw.views.contents import (
@@ -57,7 +58,12 @@ def draw_all(run: Dataset, folder: Path) -> list[Path]:
         pictures["section"] = lambda: plot_section(run)
     if scalar_variables(run):
         pictures["parameters"] = lambda: plot_parameters(run)
-    return [save(draw(), Path(folder) / f"{name}.png") for name, draw in pictures.items()]
+    files = []
+    with long_task("drawing pictures", len(pictures), "picture") as bar:
+        for name, draw in pictures.items():
+            files.append(save(draw(), Path(folder) / f"{name}.png"))
+            bar.update()
+    return files
 
 
 def compare(runs: Mapping[str, Dataset], folder: Path) -> list[Path]:

@@ -33,6 +33,7 @@ HALTING = {
     "axes": {},
     "seeds": "0-1",
 }
+BUILT_IN = ["ablation", "filters", "leak", "literal", "mismatch", "recommended", "tiny"]
 WORDS = ["study", "mine", "--config-dir", "my", "--folder", "done", "--workers", "1", "--no-pictures"]
 
 
@@ -191,7 +192,7 @@ def test_a_run_that_failed_is_tried_again_when_asked_for(done, capsys):
     ("words", "message"),
     [
         (["study"], "expected the name of a study"),
-        (["study", "nothing"], "there is no study 'nothing' (there are: literal, recommended, tiny)"),
+        (["study", "nothing"], f"there is no study 'nothing' (there are: {', '.join(BUILT_IN)})"),
         ([*WORDS, "--seeds", "9-3"], "--seeds: expected numbers and ranges such as 3,5,100-199, got '9-3'"),
         ([*WORDS, "--configurations", "lstm"], "has no configuration 'lstm' (it has: filter=etkf; filter=enkf)"),
         ([*WORDS, "--workers", "0"], "--workers must be at least 1, got 0"),
@@ -209,8 +210,15 @@ def test_a_wrong_request_is_one_line_and_nothing_is_run(words, message, capsys):
     assert ages() == {}
 
 
+def test_a_study_whose_floors_cannot_be_found_is_refused_before_its_runs(capsys):
+    write(floor=True)
+    line = "configuration 'filter=etkf': floor: model 'linear_advection' has no single numbers"
+    assert refused(WORDS, capsys).startswith(f"dafw: {line}")
+    assert ages() == {}
+
+
 def test_studies_are_listed_with_their_size(capsys):
     assert main(["study", "--config-dir", "my", "--list"]) == 0
     listed = [line.split("  ", 1) for line in capsys.readouterr().out.splitlines()]
-    assert [name.strip() for name, _ in listed] == ["literal", "mine", "recommended", "tiny"]
-    assert " ".join(listed[1][1].split()) == "4 runs mine"
+    assert [name.strip() for name, _ in listed] == sorted([*BUILT_IN, "mine"])
+    assert [" ".join(rest.split()) for name, rest in listed if name.strip() == "mine"] == ["4 runs mine"]

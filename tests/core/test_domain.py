@@ -10,6 +10,16 @@ SQUARE = np.array([[4.0, 4.0], [6.0, 4.0], [6.0, 6.0], [4.0, 6.0]])
 DOMAIN = Domain((0.0, 0.0, 10.0, 10.0), (SQUARE,), ("hall",))
 
 
+def test_what_is_in_the_way_is_named():
+    """Of two obstacles it is the one that is met first; one without a name has its number."""
+    two = Domain((0.0, 0.0, 20.0, 10.0), (SQUARE + np.array([10.0, 0.0]), SQUARE), ("far hall",))
+    west, east, south = np.array([1.0, 5.0]), np.array([19.0, 5.0]), np.array([1.0, -1.0])
+    assert (two.hindrance(west, east), two.hindrance(east, west)) == ("obstacle 1", "far hall")
+    assert two.hindrance(west, south) == two.hindrance(south, west) == "the edge of the domain"
+    assert two.hindrance(west, np.array([1.0, 9.0])) is None and two.hindrance(west, west) is None
+    assert DOMAIN.hindrance(np.array([5.0, 5.0]), np.array([5.0, 5.0])) == "hall"
+
+
 @pytest.mark.parametrize(
     ("start", "end", "free"),
     [

@@ -65,6 +65,8 @@ def options(kind, name, variable):
     if name == "stations":
         made["positions"] = [[-6.0, -30.0]]
         made["every"] = 1.0
+    if name == "route":
+        made["points"] = [[-6.0, -60.0]]
     if name == "composite":
         made["parts"] = {part: options("observer", part, variable) for part in ("drone", "stations")}
     if kind != "model" and any(o.name == "variable" for o in registry().options(kind, name)):

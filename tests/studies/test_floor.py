@@ -19,6 +19,7 @@ class Pair(Model):
     bend: float = 0.0
     rate: float | None = None
     limit: float = np.inf
+    noise: float = 0.0
     dt: float = 1.0
     space: StateSpace = field(
         default_factory=lambda: StateSpace([Variable("level", 2), Variable("rate", 1, POSITIVE), Variable("begin", 1)])
@@ -38,6 +39,8 @@ class Pair(Model):
             raise SolverError("it grows too fast")
         grown = members.copy()
         grown[:, :2] += members[:, 2:3] * [1.0, 1.0 + self.bend]
+        if self.noise:
+            grown[:, :2] += self.noise * rng.standard_normal((len(members), 2))
         return grown
 
 
@@ -74,3 +77,16 @@ def test_without_a_truth_or_parameters_there_is_no_floor():
     lorenz = registry().create("model", {"name": "lorenz96"})
     with pytest.raises(ConfigurationError, match="no single numbers"):
         floor_of(Study(model=lorenz, truth=lorenz, filter=none))
+
+
+def test_a_floor_for_any_seed_is_refused_where_the_truth_or_the_model_draws():
+    assert floor_of(study(Pair(rate=1.3)), any_seed=True).err < 0.1
+    with pytest.raises(ConfigurationError, match="the truth differs from seed to seed"):
+        floor_of(study(Pair()), any_seed=True)
+    with pytest.raises(ConfigurationError, match="its error differs from seed to seed"):
+        floor_of(study(Pair(rate=1.3), noise=0.1), any_seed=True)
+
+
+def test_it_is_the_same_whether_it_must_hold_for_any_seed():
+    once, again = (floor_of(study(Pair(rate=1.0, bend=1.0)), any_seed=any_seed) for any_seed in (False, True))
+    assert (once.err, once.parameters) == (again.err, again.parameters)

@@ -124,7 +124,10 @@ def test_a_file_that_cannot_be_loaded_is_one_line_too(text, message, written):
 
 @pytest.mark.parametrize("name", ["nothing", "../mine"])
 def test_a_name_that_is_none_brings_those_that_are(name):
-    with pytest.raises(ConfigurationError, match=r"^there is no study '.*' \(there are: literal, recommended, tiny\)$"):
+    with pytest.raises(
+        ConfigurationError,
+        match=r"^there is no study '.*' \(there are: ablation, filters, leak, literal, mismatch, recommended, tiny\)$",
+    ):
         load_study(name)
 
 

@@ -50,6 +50,9 @@ class Policy(Plugin):
     def suit(self, space: StateSpace) -> None:
         """Raise ConfigurationError if the options do not fit a state space."""
 
+    def suit_vehicles(self, vehicle: Vehicle) -> None:
+        """Raise ConfigurationError if the options do not fit the vehicles at their start, or their airspace."""
+
     def initial_memory(self, vehicle: Vehicle) -> Memory | None:
         """Return the memory that the first decision is given."""
         return None

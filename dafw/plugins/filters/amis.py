@@ -13,8 +13,9 @@ So a sample stays of use for good: new readings only change its likelihood. The 
 
 Batches take turns. For one, the centres and C are those of a step with the linearised model (linearised.py): C is about
 the covariance of the posterior as soon as samples are close to it. For the next, centres are drawn from clipped
-weights, and C is the covariance of the samples under them: as many of the largest weights as there are members are made
-equal, so that C is never that of one lucky sample. A kernel counts for all samples but its own centre: else a sample
+weights, and C is the covariance of the samples under them: the largest weights are made equal, so that C is never that
+of one lucky sample. They are as many as there are members, and at least as many as a normal distribution of the
+controls has moments, so that C has all directions. A kernel counts for all samples but its own centre: else a sample
 that became a centre would lose weight. The members of the belief are drawn from w.
 
 Cornuet, Marin, Mira and Robert (2012), doi:10.1111/j.1467-9469.2011.00756.x; the mixture q is the deterministic one of
@@ -41,6 +42,7 @@ from dafw.plugins.filters.candidates import (
     effective_size,
     first_candidates,
     log_prior_of,
+    n_moments,
     normalized,
     readings_before,
     rows,
@@ -106,7 +108,7 @@ class AMIS(Filter):
             if effective_size(weights) >= enough or cost * (batches + 1) > self.steps:
                 break
             # At most half of the samples count equally: a few good ones among bad ones say nothing of the covariance.
-            leading = clipped(log_base + fit, int(min(size, 0.5 * len(samples))))
+            leading = clipped(log_base + fit, int(min(max(size, n_moments(len(controls))), 0.5 * len(samples))))
             if batches % 2 == 0 and can_linearise(controls, leading):
                 proposal = linearised(controls, samples, leading, weights, window, self.likelihood, size, rng.random())
             else:
@@ -117,16 +119,19 @@ class AMIS(Filter):
             if found is not None:
                 samples = samples.joined(replace(found, log_proposal=self._of_all(found, kernels, size)))
             batches += 1
-        # The same offset in all analyses: a policy that saw other members in every cycle would turn to and fro.
-        offset = rng.random() if window.memory is None else float(window.memory["offset"])
-        drawn, shares = members_drawn(samples.now.ensemble, weights, size, offset)
+        # The same offset and order in all analyses: a policy that saw other members in every cycle would turn to and
+        # fro. The order is a random one, because samples stand in the order of their batches.
+        known = window.memory or {"offset": np.array(rng.random()), "order": rng.permutation(size)}
+        always = {name: np.asarray(known[name]) for name in ("offset", "order")}
+        drawn, shares = members_drawn(samples.now.ensemble, weights, size, float(always["offset"]))
+        drawn, shares = drawn[always["order"]], shares[always["order"]]
         belief = rows(samples.now, drawn)
         members = ensemble.space.retract(belief.ensemble.members, np.zeros(ensemble.space.size))
         indices, chance = without_repeats(weights, self.archive * size, rng.random())
         kept = samples.taken(indices)
         kept = replace(kept, log_kept=kept.log_kept + np.log(chance))
         done = {"done": np.array(number + 1), "seen": np.array(readings_before(window, number + 1))}
-        memory = {**kept.to_memory(), **kernels.to_memory(), **done, "offset": np.array(offset)}
+        memory = {**kept.to_memory(), **kernels.to_memory(), **done, **always}
         diagnostics = self._diagnostics(samples, weights, batches * size)
         return Analysis(members, memory, diagnostics, shares, model_memory=belief.memory)
 
@@ -178,8 +183,7 @@ class AMIS(Filter):
 
     def _diagnostics(self, samples: Candidates, weights: Array, runs: int) -> dict[str, Diagnostic]:
         """Return what is recorded of an analysis."""
-        of_sizes = np.exp(samples.fit - np.logaddexp.reduce(samples.fit, axis=1, keepdims=True))
-        absolute, relative = (weights @ of_sizes) @ self.likelihood.sizes
+        absolute, relative = self.likelihood.size_of_error(samples.fit, weights)
         named: dict[str, tuple[Any, str]] = {
             "runs": (runs, "runs of the model since the start in this analysis"),
             "samples": (len(samples), "samples weighted"),

@@ -27,7 +27,7 @@ class Candidates:
     log_prior    (P,) log density of the first guess, of the coordinates
     log_proposal (P,) log density that importance sampling divides by; zero where they are not weighted by it
     log_kept     (P,) log probability that a candidate was kept whenever candidates were given up; zero before
-    fit          (P, S) log likelihood of all readings so far, for each size of the model's error
+    fit          (P, 2, S) log likelihood of all readings so far, for each size of the model's error; lasting and fading
     predicted    (P, M) their predictions of all readings so far, in the order of the cycles
     now          the candidates at the end of the present cycle, with the model's memory
     """
@@ -92,7 +92,8 @@ class Candidates:
         now, fit, predicted, kept = _run(window, self.now, since, likelihood)
         rest = self.taken(kept)
         predicted = np.concatenate([rest.predicted, predicted], axis=1)
-        return replace(rest, fit=rest.fit + fit, predicted=predicted, now=now)
+        faded = likelihood.faded(window.cycles[-1].number + 1 - since)[:, np.newaxis]
+        return replace(rest, fit=faded * rest.fit + fit, predicted=predicted, now=now)
 
 
 def readings_before(window: Window, number: int) -> int:
@@ -159,7 +160,8 @@ def _run(
 ) -> tuple[Forecast, Array, Array, IntArray]:
     """Run members from cycle ``first`` to now.
 
-    Return the members now, their fit (P, S), their predictions (P, M), and the indices (P,) of those that did not fail.
+    Return the members now, their fit (P, 2, S), their predictions (P, M), and the indices (P,) of those that did not
+    fail.
     """
     cycles = [cycle for cycle in window.cycles if cycle.number >= first]
     operators = {cycle.number: cycle.observation.operator for cycle in cycles if cycle.observation.values.size}
@@ -175,12 +177,14 @@ def _run(
             if error.member is None or len(kept) == 1:
                 raise
             kept = np.delete(kept, error.member)
-    fit, predicted = np.zeros((len(kept), len(likelihood.sizes))), [np.empty((len(kept), 0))]
+    fit, predicted = np.zeros((len(kept), 2, len(likelihood.sizes))), [np.empty((len(kept), 0))]
     for cycle in cycles:
         if cycle.number in operators:
             seen = cycle.observation
             predicted.append(replay.predicted[cycle.number])
-            fit += likelihood.log_density(predicted[-1], seen.values, seen.covariance)
+            age = cycles[-1].number - cycle.number
+            density = likelihood.log_density(predicted[-1], seen.values, seen.covariance)
+            fit += likelihood.faded(age)[:, np.newaxis] * density[:, np.newaxis]
     now = Forecast(replay.forecast.ensemble, replay.forecast.memory)
     return now, fit, np.concatenate(predicted, axis=1), kept
 
@@ -197,6 +201,11 @@ def normalized(log_weights: Array) -> Array:
 def effective_size(weights: Array) -> float:
     """Return 1 / sum w^2."""
     return float(1.0 / (weights @ weights))
+
+
+def n_moments(k: int) -> int:
+    """Return how many numbers the moments of a density of k numbers are: its integral, mean and covariance."""
+    return (k + 1) * (k + 2) // 2
 
 
 def clipped(log_weights: Array, count: int) -> Array:

@@ -60,16 +60,26 @@ def linearised(
     places = controls.offset(samples.coordinates, samples.coordinates[best])
     mean = weights @ places
     away, changes = places - mean, samples.predicted - weights @ samples.predicted
-    covariance = (away.T * weights) @ away + SMALLEST_SD**2 * np.eye(k)
-    slopes = np.linalg.solve(covariance, (away.T * weights) @ changes)  # (k, M), J transposed
+    # In coordinates in which the samples' covariance is the identity, so that nothing is ill-conditioned.
+    root = np.linalg.cholesky((away.T * weights) @ away + SMALLEST_SD**2 * np.eye(k))
+    away = np.linalg.solve(root, away.T).T
+    slopes = (away.T * weights) @ changes  # (k, M), J transposed
     left = weights @ (changes - away @ slopes) ** 2
-    errors = likelihood.variances(samples.predicted[best], samples.fit[best], window.values, window.covariance)
+    errors = likelihood.variances(samples.predicted[best], samples.fit[best], window.values, window.covariance) + left
     missed = window.values - samples.predicted
-    pull = likelihood.pull(missed[best] ** 2 / (errors + left)) / (errors + left)
-    restoring = np.linalg.inv(REACH**2 * covariance)
-    curvature = np.linalg.inv((slopes * pull) @ slopes.T + restoring)
+    ages = [window.cycles[-1].number - cycle.number for cycle in window.cycles for _ in cycle.observation.values]
+    counted = likelihood.joined(likelihood.faded(np.array(ages))[..., np.newaxis])[:, 0]
+    pull = counted * likelihood.pull(missed[best] ** 2 / errors) / errors
+    precision = (slopes * pull) @ slopes.T + np.eye(k) / REACH**2
     centres = systematic(chosen, n_centres, offset)
-    steps = (missed[centres] * pull) @ slopes.T - (places[centres] - mean) @ restoring
-    ends = samples.coordinates[best] + places[centres] + steps @ curvature
-    factor = np.linalg.cholesky(curvature + SMALLEST_SD**2 * np.eye(k))
+    asked = (missed[centres] * pull) @ slopes.T - away[centres] / REACH**2
+    steps = np.linalg.solve(precision, asked.T).T
+    ends = samples.coordinates[best] + places[centres] + steps @ root.T
+    factor = lower_factor(np.linalg.solve(np.linalg.cholesky(precision), root.T))
     return Kernels(controls, ends[np.newaxis], factor[np.newaxis])
+
+
+def lower_factor(root: Array) -> Array:
+    """Return the Cholesky factor (k, k) of root^T root + ``SMALLEST_SD``^2, without forming the product."""
+    upper = np.linalg.qr(np.vstack([root, SMALLEST_SD * np.eye(len(root))]), mode="r")
+    return np.asarray((upper * np.sign(np.diag(upper))[:, np.newaxis]).T)

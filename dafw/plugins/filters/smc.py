@@ -121,8 +121,7 @@ class SMC(Filter):
         belief = ensemble.space.retract(members.now.ensemble.members, still)
         done = {"done": np.array(number + 1), "seen": np.array(readings_before(window, number + 1))}
         done |= {"moved": np.array(moved)}
-        of_sizes = np.exp(members.fit - np.logaddexp.reduce(members.fit, axis=1, keepdims=True))
-        absolute, relative = (weights @ of_sizes) @ self.likelihood.sizes
+        absolute, relative = self.likelihood.size_of_error(members.fit, weights)
         named: dict[str, tuple[Any, str]] = {
             "runs": (moves.runs, "runs of the model since the start in this analysis"),
             "accepted": (moves.accepted, "members that moved, counted once for each move"),

@@ -7,8 +7,9 @@ import pytest
 
 from dafw import ANGLE, FIELD, StateSpace, Variable
 from dafw.plugins.filters.controls import Controls
+from dafw.plugins.filters.kernels import SMALLEST_SD
 from dafw.plugins.filters.likelihood import Likelihood
-from dafw.plugins.filters.linearised import REACH, can_linearise, linearised
+from dafw.plugins.filters.linearised import REACH, can_linearise, linearised, lower_factor
 
 SPACE = StateSpace([Variable("p", 1, FIELD), Variable("angle", 1, ANGLE)])
 CONTROLS = Controls(SPACE)
@@ -21,8 +22,12 @@ def case(predict, centre=TRUTH, n=30):
     """Samples about ``centre``, and a window with exact readings at ``TRUTH``."""
     rng = np.random.default_rng(3)
     coordinates = centre + rng.normal(size=(n, 2)) * [0.5, 0.3]
-    samples = SimpleNamespace(coordinates=coordinates, predicted=predict(coordinates), fit=np.zeros((n, 1)))
-    window = SimpleNamespace(values=predict(TRUTH[np.newaxis])[0], covariance=np.full(3, 0.03))
+    samples = SimpleNamespace(coordinates=coordinates, predicted=predict(coordinates), fit=np.zeros((n, 2, 1)))
+    values = predict(TRUTH[np.newaxis])[0]
+    cycles = [
+        SimpleNamespace(number=number, observation=SimpleNamespace(values=values[[number]])) for number in range(3)
+    ]
+    window = SimpleNamespace(values=values, covariance=np.full(3, 0.03), cycles=cycles)
     return samples, window, np.full(n, 1.0 / n)
 
 
@@ -71,6 +76,30 @@ def test_a_heavy_tail_gives_an_outlier_little_pull():
     assert misled[1] < 0.1 * misled[0]
 
 
+def test_old_readings_pull_less_if_readings_fade():
+    samples, window, weights = case(linear)
+    window.values = window.values + np.array([50.0, 0.0, 0.0])
+    fading = Likelihood(absolute=[0.1], half_life=0.1, lasting=0.0)
+    misled = [np.abs(proposal(samples, window, weights, one)[0] - TRUTH).max() for one in (LIKELIHOOD, fading)]
+    assert misled[1] < 0.1 * misled[0]
+
+
 @pytest.mark.parametrize(("n", "expected"), [(4, False), (5, True)])
 def test_a_regression_needs_more_samples_than_slopes(n, expected):
     assert can_linearise(CONTROLS, np.full(n, 1.0 / n)) == expected
+
+
+@pytest.mark.parametrize("scale", [1e-12, 1.0, 1e12])
+def test_samples_that_are_all_but_equal_and_very_steep_models_are_no_trouble(scale):
+    samples, window, weights = case(lambda z: 1e6 * linear(z))
+    samples.coordinates[:, 0] = TRUTH[0] + scale * (samples.coordinates[:, 0] - TRUTH[0])
+    samples.predicted = 1e6 * linear(samples.coordinates)
+    ends, covariance = proposal(samples, window, weights)
+    assert np.isfinite(ends).all() and (np.linalg.eigvalsh(covariance) > 0.0).all()
+
+
+def test_the_factor_is_that_of_the_product():
+    root = np.random.default_rng(2).normal(size=(3, 3))
+    factor = lower_factor(root)
+    np.testing.assert_allclose(factor @ factor.T, root.T @ root + SMALLEST_SD**2 * np.eye(3), rtol=1e-12, atol=1e-13)
+    assert (factor == np.tril(factor)).all() and (np.diag(factor) > 0.0).all()

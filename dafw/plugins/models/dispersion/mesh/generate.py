@@ -11,6 +11,7 @@ from pathlib import Path
 import gmsh
 
 from dafw.core.making import making
+from dafw.core.progress import long_task
 from dafw.plugins.models.dispersion.cache import cache_folder
 from dafw.plugins.models.dispersion.mesh.gmsh_file import checksum_section, gmsh_session, is_intact
 from dafw.plugins.models.dispersion.mesh.options import MeshOptions
@@ -41,7 +42,7 @@ def generate(site: Site, options: MeshOptions) -> Path:
         raise MeshError(f"mesh: cannot read {path} ({error.strerror}); DAFW_CACHE moves the cache") from None
     size = size_function(site, options)
     try:
-        with making(path.parent) as folder:
+        with long_task("making the mesh"), making(path.parent) as folder:
             made = folder / "mesh.msh"
             with gmsh_session():
                 _draw(site)

@@ -7,11 +7,13 @@ J. Comput. Phys. 143 (1998), doi:10.1006/jcph.1998.5943.
 from __future__ import annotations
 
 import logging
-import sys
+from concurrent.futures import ThreadPoolExecutor
+from threading import Lock
 
 import numpy as np
-from tqdm import tqdm
 
+from dafw.core.progress import long_task
+from dafw.core.workers import spare_cores
 from dafw.plugins.models.dispersion.reduced_wind.basis import ReducedBasis
 from dafw.plugins.models.dispersion.reduced_wind.velocity_space import VelocitySpace
 
@@ -152,8 +154,12 @@ def convection_tensor(
     moved_old = space.by_component(velocities[:, :old]).reshape(space.size, -1)
     moved_new = np.ascontiguousarray(space.by_component(velocities[:, old:]))
     tensor = np.zeros((tests.shape[1], n, n))
-    for j in tqdm(range(n), desc="projection of the reduced basis", unit="mode", disable=None, file=sys.stderr):
-        convection = space.convection(velocities[:, j])
+
+    assembling = Lock()
+
+    def compute(j: int) -> None:
+        with assembling:
+            convection = space.convection(velocities[:, j]).copy()
         first, right = (old, moved_new) if j < old else (0, moved)
         for start in range(0, len(moved), ROWS):
             load = (convection[start : start + ROWS] @ right).reshape(-1, n - first)
@@ -161,6 +167,14 @@ def convection_tensor(
         if j < old:  # few test functions and many velocities: applying the matrix to the test functions is cheaper
             loads = (convection.T @ added).reshape(space.size, -1)
             tensor[old - 2 : n - 2, j, :old] = loads.T @ moved_old
+
+    # Threads, because BLAS and SciPy work on several at once; each writes its own part of the tensor.
+    with (
+        long_task(f"reduced basis: projecting on {n - 2} modes", n, "mode") as bar,
+        ThreadPoolExecutor(spare_cores()) as pool,
+    ):
+        for _ in pool.map(compute, range(n)):
+            bar.update()
     tensor = 0.5 * (tensor + tensor.transpose(0, 2, 1))
     if known:
         rows, columns = np.triu_indices(old)

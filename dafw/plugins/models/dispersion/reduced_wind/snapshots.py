@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import logging
 import pickle
-import sys
 from collections.abc import Generator
 from contextlib import closing
 from dataclasses import dataclass
@@ -17,8 +16,8 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from tqdm import tqdm
 
+from dafw.core.progress import long_task
 from dafw.core.workers import Outcome, outcome, run_tasks, spare_cores
 from dafw.plugins.models.dispersion.mesh.load import load
 from dafw.plugins.models.dispersion.wind.options import WindOptions
@@ -69,11 +68,10 @@ def snapshots(solver: WindSolver, mesh_file: Path | None) -> Snapshots:
     winds = directions.size * intensities.size
     alone = mesh_file is None or winds * solver.problem.unknowns <= SMALL
     workers = 1 if alone else min(spare_cores(), directions.size)
-    log.info("reduced basis: solving %d winds, processes: %d", winds, workers)
     found: dict[int, Snapshots] = {}
     with (
         closing(_rows(solver, mesh_file, directions, workers)) as rows,
-        tqdm(total=winds, desc="winds for the reduced basis", unit="wind", disable=None, file=sys.stderr) as bar,
+        long_task(f"reduced basis: solving {winds} winds, processes: {workers}", winds, "wind") as bar,
     ):
         for number, one in rows:
             found[number] = one
