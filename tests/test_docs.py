@@ -84,6 +84,7 @@ REDUCED = {
         rf"\g<0> {BASIS}",
         "the default study: a basis of four winds",
     ),
+    r"^dafw run experiment=recorded.*$": (rf"\g<0> {COARSE} {BASIS}", "some 300 nodes, three members, one cycle"),
     FLAGSHIP: (rf"\g<0> {COARSE}", "some 300 nodes, three members, one cycle"),
     r"python -m benchmarks (?!.*(over_dapper|from_py))": (
         f"{BENCHMARKS} --short ",

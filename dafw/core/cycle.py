@@ -14,7 +14,7 @@ run can be cut anywhere and continued to the same bits.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from time import perf_counter
 from typing import Self
@@ -93,6 +93,7 @@ class Cycle:
 
     ``truth`` is the truth after the cycle, in the belief's state space. ``readings`` are sorted by the cycle that they
     belong to. ``predicted`` (N, m) is what the forecast predicts for the readings used at the end of this cycle.
+    ``left_out`` counts readings that their source could not give, by reason.
     """
 
     state: State
@@ -105,6 +106,7 @@ class Cycle:
     diagnostics: dict[str, Diagnostics]
     notes: tuple[str, ...]
     seconds: dict[str, float]
+    left_out: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def belief(self) -> Ensemble:
@@ -241,7 +243,17 @@ def advance(parts: Parts, state: State) -> Cycle:
     }
     notes = (*route.notes, *taken.notes)
     return Cycle(
-        after, forecast.ensemble, truth_seen, route, readings, predicted, analysis, diagnostics, notes, clock.seconds
+        after,
+        forecast.ensemble,
+        truth_seen,
+        route,
+        readings,
+        predicted,
+        analysis,
+        diagnostics,
+        notes,
+        clock.seconds,
+        taken.left_out,
     )
 
 

@@ -26,7 +26,8 @@ class Domain:
     """A rectangle ``bounds`` (x_min, y_min, x_max, y_max) in metres with polygonal obstacles.
 
     ``obstacles`` are rings (k, 2) without the closing point; ``triangles`` (faces, 3) connect the nodes of the model's
-    first variable, counter-clockwise; ``landmarks`` are named points for pictures.
+    first variable, counter-clockwise; ``landmarks`` are named points for pictures. ``origin`` is the longitude and
+    latitude of (0, 0) in degrees; None if the plane has no place on Earth.
     """
 
     bounds: tuple[float, float, float, float]
@@ -34,6 +35,7 @@ class Domain:
     obstacle_names: tuple[str, ...] = ()
     triangles: NDArray[np.int32] | None = None
     landmarks: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    origin: tuple[float, float] | None = None
 
     @cached_property
     def _polygons(self) -> Any:
@@ -101,6 +103,20 @@ class Domain:
         import shapely
 
         return shapely.STRtree(shapely.buffer(self._polygons, -SKIN))
+
+    def are_inside(self, points: Array) -> NDArray[np.bool_]:
+        """Return which of the points (m, 2) lie inside the rectangle or on its edge."""
+        low, high = np.array(self.bounds[:2]), np.array(self.bounds[2:])
+        return np.asarray(((low <= points) & (points <= high)).all(axis=1))
+
+    def are_in_obstacles(self, points: Array) -> NDArray[np.bool_]:
+        """Return which of the points (m, 2) lie inside an obstacle; its wall, a millimetre deep, is not inside."""
+        import shapely
+
+        inside = np.zeros(len(points), dtype=np.bool_)
+        if len(self.obstacles) and len(points):
+            inside[self._cores.query(shapely.points(points), predicate="intersects")[0]] = True
+        return inside
 
     def distances(self, place: Array, ends: Array, within: float) -> Array:
         """Return the lengths (m,) in metres of the ways around the obstacles from ``place`` (2,) to ``ends`` (m, 2).

@@ -41,6 +41,10 @@ class SiteError(RequestError):
     """A site description cannot be turned into a computational domain."""
 
 
+class ReadingsError(RequestError):
+    """A file of readings cannot be read, or does not fit the study; the message names the file, row and column."""
+
+
 class RunError(RequestError):
     """A folder or file does not hold a run that can be read, or holds one that must not be overwritten."""
 

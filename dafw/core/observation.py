@@ -101,16 +101,17 @@ class Stacked(ObservationOperator):
         return np.concatenate([part.apply(members) for part in self.parts], axis=1)
 
 
-def stack(parts: tuple[ObservationOperator, ...]) -> ObservationOperator:
+def stack(parts: tuple[ObservationOperator, ...], *, same_sensors: bool = False) -> ObservationOperator:
     """Return one operator for all parts, in their order. Of diagnostics with the same name the first is kept.
 
-    Sensors are named after the number of their part: those of the second are ``1 drone 0``, ...
+    Sensors are named after the number of their part: those of the second are ``1 drone 0``, ... With ``same_sensors``
+    a name means the same sensor in every part.
     """
     coordinates = _stacked_coordinates(parts)
     covariance = block_diagonal([part.covariance for part in parts])
     noise = block_diagonal([part.noise for part in parts])
     diagnostics = {name: value for part in reversed(parts) for name, value in part.diagnostics.items()}
-    sensors = _stacked_sensors(parts)
+    sensors = _stacked_sensors(parts, same_sensors)
     if all(isinstance(part, Selection) for part in parts):
         indices = np.concatenate([part.indices for part in parts if isinstance(part, Selection)])
         return Selection(
@@ -146,13 +147,13 @@ def _stacked_coordinates(parts: tuple[ObservationOperator, ...]) -> Array | None
     return np.concatenate([n if c is None else c for n, c in zip(nowhere, given, strict=True)])
 
 
-def _stacked_sensors(parts: tuple[ObservationOperator, ...]) -> tuple[str, ...] | None:
+def _stacked_sensors(parts: tuple[ObservationOperator, ...], same: bool) -> tuple[str, ...] | None:
     """Return the names of all readings' sensors; None if a part does not tell them."""
     names: list[str] = []
     for number, part in enumerate(parts):
         if part.sensors is None and part.size:
             return None
-        names += [f"{number} {sensor}" for sensor in part.sensors or ()]
+        names += [sensor if same else f"{number} {sensor}" for sensor in part.sensors or ()]
     return tuple(names)
 
 
@@ -225,4 +226,4 @@ def merged_observations(observations: Sequence[Observation], time: float) -> Obs
     if not observations:
         return Observation(np.empty(0), nothing(), time)
     values = np.concatenate([observation.values for observation in observations])
-    return Observation(values, stack(tuple(observation.operator for observation in observations)), time)
+    return Observation(values, stack(tuple(one.operator for one in observations), same_sensors=True), time)

@@ -11,7 +11,7 @@ leaves a fiftieth. The others hold missing values, for which the file needs no s
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -26,6 +26,7 @@ from dafw.core.run_file import STAGES, RunFile
 from dafw.core.space import Array, StateSpace, Variable
 
 FLUSH_SECONDS = 0.5
+type Numbers = Callable[[Sequence[str]], list[int]]
 
 
 class Record:
@@ -136,7 +137,7 @@ class Record:
         seconds = cycle.seconds | {"record": self._recording}
         row: dict[str, Any] = {"phase_seconds": [seconds.get(phase, np.nan) for phase in PHASES]}
         expected = cycle.forecast.average(cycle.predicted)
-        row |= _observation_row(cycle, expected, self._space)
+        row |= _observation_row(cycle, expected, self._space, self._file.sensor_numbers)
         row |= innovation_scores(cycle.observation, cycle.forecast, cycle.predicted, expected)
         for kind, diagnostics in cycle.diagnostics.items():
             for name, diagnostic in diagnostics.items():
@@ -180,14 +181,14 @@ class Record:
                 self._file.close()
 
 
-def _observation_row(cycle: Cycle, expected: Array, space: StateSpace) -> dict[str, Any]:
+def _observation_row(cycle: Cycle, expected: Array, space: StateSpace, numbers: Numbers) -> dict[str, Any]:
     """Return the readings that arrived in a cycle: those used now, late ones, and dropped ones.
 
-    ``expected`` (m,) is what the forecast predicts for those used now.
+    ``expected`` (m,) is what the forecast predicts for those used now. ``numbers`` returns the numbers of sensors.
     """
     readings = cycle.readings
     # The filter uses these readings together at the end of the cycle, but each was taken at its own time.
-    row = _readings(readings.now, np.zeros(readings.times.size, dtype="i1"), readings.times, expected, space)
+    row = _readings(readings.now, np.zeros(readings.times.size, dtype="i1"), readings.times, expected, space, numbers)
     others = [(one, 1) for _, one in readings.late] + [(one, 2) for one in readings.dropped]
     if not others:
         return row
@@ -195,8 +196,8 @@ def _observation_row(cycle: Cycle, expected: Array, space: StateSpace) -> dict[s
     for one, use in others:
         size = one.values.size
         uses, times, unknown = np.full(size, use, dtype="i1"), np.full(size, one.time), np.full(size, np.nan)
-        rows.append(_readings(one, uses, times, unknown, space))
-    missing = {"observation_node": -1, "observation_x": np.nan, "observation_y": np.nan}
+        rows.append(_readings(one, uses, times, unknown, space, numbers))
+    missing = {"observation_node": -1, "observation_sensor": -1, "observation_x": np.nan, "observation_y": np.nan}
     names = dict.fromkeys(name for one in rows for name in one)
     return {
         name: np.concatenate(
@@ -206,7 +207,9 @@ def _observation_row(cycle: Cycle, expected: Array, space: StateSpace) -> dict[s
     }
 
 
-def _readings(observation: Observation, uses: Any, times: Array, expected: Array, space: StateSpace) -> dict[str, Any]:
+def _readings(
+    observation: Observation, uses: Any, times: Array, expected: Array, space: StateSpace, numbers: Numbers
+) -> dict[str, Any]:
     """Return the row's variables of readings taken at ``times`` (m,); ``uses`` (m,) say how they were used."""
     operator, covariance = observation.operator, observation.covariance
     row: dict[str, Any] = {
@@ -219,6 +222,8 @@ def _readings(observation: Observation, uses: Any, times: Array, expected: Array
     if isinstance(operator, Selection):
         n_nodes, indices = space.variables[0].size, operator.indices
         row["observation_node"] = indices if n_nodes == space.size else np.where(indices < n_nodes, indices, -1)
+    if operator.sensors:
+        row["observation_sensor"] = numbers(operator.sensors)
     if operator.coordinates is not None:
         for axis, column in zip("xy", operator.coordinates.T, strict=False):
             row[f"observation_{axis}"] = column

@@ -79,6 +79,7 @@ class RunFile:
         self._fills: dict[str, Any] = {}
         self._shapes: dict[str, tuple[int, ...]] = {}
         self._fields: set[str] = set()
+        self._sensors: dict[str, int] = {}
         self._written = 0
         space, domain = parts.model.space, parts.model.domain
         scored = space.variables[0].name
@@ -238,6 +239,20 @@ class RunFile:
         """Define the variable of the members' weights if it is not there yet."""
         if "weight" not in self._shapes:
             self._define("weight", ("time", "member"), "f8", "1", "weights of the members of the analysis")
+
+    def sensor_numbers(self, names: Sequence[str]) -> list[int]:
+        """Return the numbers under which the file lists sensors; a new sensor is added."""
+        if "observation_sensor" not in self._shapes:
+            self._file.createDimension("sensor", None)
+            listed = self._file.createVariable("sensor_name", str, ("sensor",))
+            listed.long_name = "names of the sensors"
+            title = "number of the sensor in sensor_name, -1 if it is not told"
+            self._define("observation_sensor", ("time", "observation"), "i4", "1", title)
+        for name in names:
+            if name not in self._sensors:
+                self._file.variables["sensor_name"][len(self._sensors)] = name
+                self._sensors[name] = len(self._sensors)
+        return [self._sensors[name] for name in names]
 
     def write(self, rows: Sequence[Mapping[str, Any]]) -> None:
         """Add rows (values by the variable's name) and synchronise; variables that a row lacks stay missing."""

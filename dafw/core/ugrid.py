@@ -20,6 +20,10 @@ def write_domain(file: Any, domain: Domain) -> None:
         variable[:] = np.asarray(values, dtype=object) if text else values
         variable.setncatts(attributes if text else {"units": units, **attributes})
 
+    if domain.origin is not None:
+        file.setncatts(
+            {f"origin_{name}": value for name, value in zip(("longitude", "latitude"), domain.origin, strict=True)}
+        )
     if domain.triangles is not None:
         file.createDimension("face", len(domain.triangles))
         file.createDimension("face_corner", 3)

@@ -105,8 +105,8 @@ def warn_once(warned: set[str], what: str, text: str) -> None:
 
 
 def log_domain(parts: Parts) -> None:
-    """Log what the model was built from."""
-    for note in parts.model.notes():
+    """Log what the model was built from, and where the readings come from."""
+    for note in [*parts.model.notes(), *parts.readings.notes()]:
         log.info("%s", note)
     log.info("state: %r", parts.model.space)
     if parts.model.domain is not None:

@@ -42,6 +42,7 @@ class Summary:
         self._scores: Mapping[str, float] = {}
         self._parameters: dict[str, dict[str, float | None]] = {}
         self._counts: defaultdict[str, int] = defaultdict(int)
+        self._left_out: defaultdict[str, int] = defaultdict(int)
         self._innovations: list[float] = []
 
     def begin(self, study: Study) -> None:
@@ -60,6 +61,8 @@ class Summary:
             self._seconds[phase] += seconds
         for use, count in cycle.readings.counts.items():
             self._counts[use] += count
+        for reason, count in cycle.left_out.items():
+            self._left_out[reason] += count
         belief = cycle.state.belief.ensemble
         if self.diverged_at is None and belief.space.exceeds(belief.members, 1.0):
             self.diverged_at = cycle.state.belief.ensemble.time
@@ -81,6 +84,10 @@ class Summary:
         for use, text in USES_TO_WARN_OF.items():
             if cycle.readings.counts.get(use):
                 yield use, f"{text} (summary.json counts them)"
+        for reason, count in cycle.left_out.items():
+            rows = "row is" if count == 1 else "rows are"
+            text = f"{parts.readings.label}: {count} {rows} left out, {reason.replace('_', ' ')}"
+            yield reason, f"{text} (summary.json counts them)"
 
     def values(self) -> dict[str, Any]:
         """Return the present summary."""
@@ -100,6 +107,7 @@ class Summary:
             "innovation_rms": math.sqrt(np.mean(np.square(self._innovations))) if self._innovations else None,
             "diverged_at": self.diverged_at,
             "readings": dict(self._counts),
+            "readings_left_out": dict(self._left_out),
             "parameters_final": self._parameters,
             "wall_seconds": round(perf_counter() - self.begun, 3),
             "pinned": self.pinned,

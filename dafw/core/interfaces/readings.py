@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar
 
@@ -35,11 +35,15 @@ class Request:
 
 @dataclass(frozen=True, eq=False)
 class Taken:
-    """What a source with a memory returns: the observations, what to remember, and sentences for the log."""
+    """What a source with a memory returns: the observations, what to remember, and sentences for the log.
+
+    ``left_out`` counts readings that the source had and cannot give, by reason; a run warns of them and counts them.
+    """
 
     observations: Sequence[Observation]
     memory: Memory | None = None
     notes: tuple[str, ...] = field(default=())
+    left_out: Mapping[str, int] = field(default_factory=dict)
 
 
 class Readings(Plugin):
@@ -71,6 +75,10 @@ class Readings(Plugin):
 
     def suit(self, space: StateSpace, domain: Domain | None, dt: float) -> None:
         """Raise ConfigurationError if the options do not fit a state space, its domain and a time step (s)."""
+
+    def notes(self) -> list[str]:
+        """Return sentences for the log about where the readings come from; called after ``suit``."""
+        return []
 
     def initial_memory(self) -> Memory | None:
         """Return the memory that the first request is given."""

@@ -192,7 +192,7 @@ class AdvectionDiffusion(Model):
         site = self.place
         rings = tuple(np.asarray(building.exterior.coords)[:-1] for building in site.buildings)
         places = {"release" if one.number == 1 else f"release_{one.number}": one.place for one in self._sources}
-        domain = Domain(site.bounds, rings, site.names, self._topology[1], places)
+        domain = Domain(site.bounds, rings, site.names, self._topology[1], places, site.origin)
         for place in places.values():
             if not domain.is_free(np.array(place), np.array(place)):
                 raise ConfigurationError(

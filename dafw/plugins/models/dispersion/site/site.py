@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pyproj import Geod
 from shapely import Polygon, box
 
 from dafw.core.errors import SiteError
+from dafw.core.geography import metres_per_degree
 from dafw.plugins.models.dispersion.site.footprints import Footprint, arrange, repair
 from dafw.plugins.models.dispersion.site.geojson import read_outlines
 from dafw.plugins.models.dispersion.site.options import SiteOptions
@@ -128,14 +128,6 @@ def load_site(options: SiteOptions) -> Site:
         scale=scale,
         report=report,
     )
-
-
-def metres_per_degree(latitude: float) -> tuple[float, float]:
-    """Return the metres per degree of longitude and of latitude on the WGS84 ellipsoid at a latitude in degrees."""
-    ellipsoid, half = Geod(ellps="WGS84"), 0.005
-    east = ellipsoid.line_length([-half, half], [latitude, latitude])
-    north = ellipsoid.line_length([0.0, 0.0], [latitude - half, latitude + half])
-    return east / (2 * half), north / (2 * half)
 
 
 def _limits_around(rings: list[np.ndarray], path: Path, options: SiteOptions) -> tuple[np.ndarray, np.ndarray]:

@@ -8,9 +8,10 @@ import pytest
 import shapely
 
 from dafw.core.errors import SiteError
+from dafw.core.geography import metres_per_degree
 from dafw.core.options import build
 from dafw.plugins.models.dispersion.site.options import SiteOptions
-from dafw.plugins.models.dispersion.site.site import REPORT, load_site, metres_per_degree
+from dafw.plugins.models.dispersion.site.site import REPORT, load_site
 
 WEST_OAKLAND = Path(__file__).resolve().parents[6] / "shared" / "data" / "west_oakland_buildings.geojson"
 ORIGIN = np.array([8.0, 50.0])

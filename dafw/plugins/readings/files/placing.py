@@ -1,0 +1,97 @@
+"""Where the readings of a table are in a state: entries and weights, and which readings have no place in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dafw.core.domain import Domain
+from dafw.core.geography import to_metres
+from dafw.core.interpolation import weights_at
+from dafw.core.space import Array, IntArray, StateSpace, Variable
+from dafw.plugins.readings.files.table import Table
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """Reading r is the sum over k of weights[r, k] state[indices[r, k]]; both (R, 3).
+
+    ``coordinates`` (R, 2) are places in metres, None if readings have none. ``outside`` and ``in_building`` (R,) mark
+    readings that cannot be used.
+    """
+
+    indices: IntArray
+    weights: Array
+    coordinates: Array | None
+    outside: NDArray[np.bool_]
+    in_building: NDArray[np.bool_]
+
+
+def placed(
+    table: Table,
+    kind: str | None,
+    space: StateSpace,
+    domain: Domain | None,
+    name: str | None,
+    origin: tuple[float, float] | None,
+) -> Placed:
+    """Return where the readings are in the variable ``name`` (None: the first).
+
+    ``kind`` of PLACES says which columns count. ``origin`` is the longitude and latitude of (0, 0); None: the domain's.
+    Raises ReadingsError if the table's places are not ones that the variable has.
+    """
+    variable = space.variables[0] if name is None else space[name]
+    none = np.zeros(len(table), dtype=np.bool_)
+    start = space.slice(variable.name).start
+    if kind in (None, "entry"):
+        indices, weights = _entries(table, kind, variable)
+        return Placed(indices + start, weights, None, none, none)
+    if kind == "metres":
+        points = np.stack([table.number("x"), table.number("y")], axis=1)
+    else:
+        about = origin if origin is not None or domain is None else domain.origin
+        if about is None:
+            raise table.error(
+                "its places are longitudes and latitudes, and the model's plane has no place on Earth: expected the "
+                "option origin, [longitude, latitude] of (0, 0)"
+            )
+        points = to_metres(np.stack([table.number("lon"), table.number("lat")], axis=1), about)
+    outside, in_building = none, none
+    if domain is not None:
+        outside = ~domain.are_inside(points)
+        in_building = domain.are_in_obstacles(points) & ~outside
+    triangles = domain.triangles if domain is not None and variable is space.variables[0] else None
+    indices, weights = np.zeros((len(table), 3), dtype=np.int64), np.zeros((len(table), 3))
+    if len(table):
+        found, shares = weights_at(variable, triangles, points)
+        indices[:, : found.shape[1]], weights[:, : shares.shape[1]] = found, shares
+        _exactly_at_nodes(variable, points, indices, weights)
+    return Placed(indices + start, weights, points, outside, in_building)
+
+
+def _entries(table: Table, kind: str | None, variable: Variable) -> tuple[IntArray, Array]:
+    if kind is None and variable.size > 1:
+        raise table.error(
+            f"has no places: expected columns x and y, lon and lat, or entry, because the variable '{variable.name}' "
+            f"has {variable.size} numbers"
+        )
+    entry = np.zeros(len(table)) if kind is None else table.number("entry")
+    if (entry >= variable.size).any():
+        row = int(np.argmax(entry >= variable.size))
+        raise table.error(
+            f"expected an entry below {variable.size}, the size of the variable '{variable.name}', got {entry[row]:g}",
+            row,
+            "entry",
+        )
+    indices, weights = np.zeros((len(table), 3), dtype=np.int64), np.zeros((len(table), 3))
+    indices[:, 0], weights[:, 0] = entry.astype(np.int64), 1.0
+    return indices, weights
+
+
+def _exactly_at_nodes(variable: Variable, points: Array, indices: IntArray, weights: Array) -> None:
+    """Give a reading at a node the weight 1 of this node, without rounding: a twin's file then gives the same bits."""
+    nearest = variable.nearest(points)
+    same = (np.asarray(variable.coordinates)[nearest] == points).all(axis=1)
+    indices[same], weights[same] = nearest[same, np.newaxis], [1.0, 0.0, 0.0]

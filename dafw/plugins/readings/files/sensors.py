@@ -1,0 +1,136 @@
+"""What sensors do to readings: background, noise, readings at the same time, a slow response, a detection limit.
+
+A slow sensor of the first order with the response time T shows z where it meets c:
+
+    dz/dt = (c - z) / T
+
+From two of its readings, a time s apart, follows what it met between them, taken as constant:
+
+    c = (z_2 - a z_1) / (1 - a)        a = exp(-s / T)        sd(c) = sqrt(sd_2^2 + a^2 sd_1^2) / (1 - a)
+
+The errors of neighbouring c are anticorrelated, which is left out: R stays diagonal.
+
+Of a reading below the detection limit L it is only known that the value lies between 0 and L. It is replaced by the
+middle, L / 2, and the variance of a uniform distribution, L^2 / 12, is added to its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from dafw.core.options import build, option
+from dafw.core.space import Array
+from dafw.plugins.readings.files.table import Table
+
+REPEATED = ("keep", "first", "mean")
+
+
+@dataclass
+class SensorOptions:
+    """A sensor's errors, in the unit of the file."""
+
+    sd: float | None = option(
+        None, "standard deviation of the error of readings for which the file has none", above=0.0
+    )
+    relative_sd: float = option(0.0, "another part of the error, as a share of the value less background", minimum=0.0)
+    background: float = option(0.0, "subtracted from every value")
+    detection_limit: float | None = option(
+        None, "of a value (less background) below it is only known that it lies between 0 and this", above=0.0
+    )
+    response_time: float = option(0.0, "time constant with which the sensor follows what it meets, s", minimum=0.0)
+
+
+def sensors_of(table: Table, common: SensorOptions, own: Mapping[str, Any], where: str) -> dict[str, SensorOptions]:
+    """Return the options of every sensor of a table; raises ReadingsError for options of a sensor that is not in it."""
+    names = list(dict.fromkeys(table.text("sensor")))
+    for name in own:
+        if name not in names:
+            raise table.error(f"no sensor '{name}' (there are: {', '.join(names) or 'none'})")
+    shared = asdict(common)
+    return {name: build(SensorOptions, shared | dict(own.get(name, {})), f"{where}, sensor '{name}'") for name in names}
+
+
+def with_errors(table: Table, sensors: Mapping[str, SensorOptions]) -> Table:
+    """Return the table with values less background, and ``sd`` in every row; raises ReadingsError if one has none."""
+    background = _of_rows(table, lambda name: sensors[name].background)
+    value = table.number("value") - background if background.any() else table.number("value")
+    sd = table.number("sd")
+    sd = np.where(np.isnan(sd), _of_rows(table, lambda name: sensors[name].sd or np.nan), sd)
+    if np.isnan(sd).any():
+        row = int(np.argmax(np.isnan(sd)))
+        raise table.error("has no standard deviation: expected a column 'sd' or the option sd", row)
+    share = _of_rows(table, lambda name: sensors[name].relative_sd)
+    return table.changed(value=value, sd=np.hypot(sd, share * np.abs(value)) if share.any() else sd)
+
+
+def without_repeats(table: Table, repeated: str) -> tuple[Table, int]:
+    """Return the table, sorted by time, with one reading of a sensor at a time, and how many there were beside it.
+
+    ``repeated`` says what becomes of the others: ``keep`` them all, keep the ``first``, or take the ``mean`` of them.
+    """
+    groups: dict[tuple[str, float], list[int]] = {}
+    for row, key in enumerate(zip(table.text("sensor"), table.number("time").tolist(), strict=True)):
+        groups.setdefault(key, []).append(row)
+    more = len(table) - len(groups)
+    if repeated == "keep" or not more:
+        return table, more
+    firsts = np.array([rows[0] for rows in groups.values()])
+    kept = table.chosen(firsts)
+    if repeated == "first":
+        return kept, more
+    means = {role: column.copy() for role, column in kept.numbers.items() if role not in ("entry", "arrives", "time")}
+    for place, rows in enumerate(groups.values()):
+        if len(rows) > 1:
+            for role, column in means.items():
+                part = table.numbers[role][rows]
+                column[place] = np.sqrt(np.sum(part**2)) / len(rows) if role == "sd" else part.mean()
+    return kept.changed(**means), more
+
+
+def undone_response(table: Table, sensors: Mapping[str, SensorOptions]) -> tuple[Table, int]:
+    """Return the table, sorted by time, with what slow sensors met instead of what they showed.
+
+    The first reading of a slow sensor only says where it starts, and is left out; the second number is how many these
+    are. Raises ReadingsError if a slow sensor has two readings at the same time.
+    """
+    value, sd, kept = table.number("value").copy(), table.number("sd").copy(), np.ones(len(table), dtype=bool)
+    names, time = table.text("sensor"), table.number("time")
+    for name, options in sensors.items():
+        if options.response_time == 0.0:
+            continue
+        rows = np.flatnonzero(names == name)
+        spans = np.diff(time[rows])
+        if (spans <= 0.0).any():
+            raise table.error(
+                "a sensor with a response time has two readings at this time: expected repeated=first or mean",
+                int(rows[1:][spans <= 0.0][0]),
+            )
+        a = np.exp(-spans / options.response_time)
+        before, after = rows[:-1], rows[1:]
+        shown, spread = table.number("value"), table.number("sd")
+        value[after] = (shown[after] - a * shown[before]) / (1.0 - a)
+        sd[after] = np.hypot(spread[after], a * spread[before]) / (1.0 - a)
+        kept[rows[:1]] = False
+    return table.changed(value=value, sd=sd).chosen(kept), int((~kept).sum())
+
+
+def censored(table: Table, sensors: Mapping[str, SensorOptions]) -> tuple[Table, int]:
+    """Return the table with readings below the detection limit replaced, and how many these are."""
+    limit = _of_rows(table, lambda name: sensors[name].detection_limit or -np.inf)
+    below = table.number("value") < limit
+    if not below.any():
+        return table, 0
+    value, sd = table.number("value").copy(), table.number("sd").copy()
+    value[below] = limit[below] / 2.0
+    sd[below] = np.hypot(sd[below], limit[below] / np.sqrt(12.0))
+    return table.changed(value=value, sd=sd), int(below.sum())
+
+
+def _of_rows(table: Table, of: Callable[[str], float]) -> Array:
+    """Return a number of every row's sensor (R,)."""
+    known = {name: of(name) for name in set(table.text("sensor"))}
+    return np.array([known[name] for name in table.text("sensor")], dtype=np.float64)

@@ -1,0 +1,217 @@
+"""Readings that somebody recorded, from a CSV, netCDF or GeoJSON file (docs/readings.md).
+
+The file is read before a run begins. A reading has its own time and place; it may belong to one of several sensors,
+each with its own errors. What cannot be used is left out and counted: incomplete and doubled rows, places outside the
+site or inside a building. Readings from before the start are counted by the loop, like those of every other source.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from dafw.core.domain import Domain
+from dafw.core.ensemble import Memory
+from dafw.core.errors import ConfigurationError
+from dafw.core.interfaces import Readings
+from dafw.core.interfaces.readings import Request, Taken
+from dafw.core.late import FORGIVEN
+from dafw.core.observation import Interpolation, Observation
+from dafw.core.options import build, option
+from dafw.core.space import Array, StateSpace
+from dafw.plugins.readings.files.any_file import EXAMPLE, read_table
+from dafw.plugins.readings.files.options import FileOptions
+from dafw.plugins.readings.files.placing import Placed, placed
+from dafw.plugins.readings.files.screening import (
+    REASONS,
+    complete,
+    converted,
+    in_study_time,
+    start_of,
+    with_unit,
+    without_doubles,
+)
+from dafw.plugins.readings.files.sensors import (
+    REPEATED,
+    SensorOptions,
+    censored,
+    sensors_of,
+    undone_response,
+    with_errors,
+    without_repeats,
+)
+from dafw.plugins.readings.files.table import Table
+
+
+@dataclass(frozen=True, eq=False)
+class Usable:
+    """The readings of a file in the time of a study, before they are placed.
+
+    ``counts`` are keyed by REASONS: rows that are left out. ``below`` and ``repeated`` are the numbers of readings
+    below the detection limit, and of those at a time at which their sensor has another one.
+    """
+
+    table: Table
+    kind: str | None
+    start: float
+    counts: Mapping[str, int]
+    below: int
+    repeated: int
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """Readings as observations of one state space: ``values`` and ``variances`` (R,) in the variable's units."""
+
+    table: Table
+    values: Array
+    variances: Array
+    placed: Placed
+    arrives: Array
+    counts: Mapping[str, int]
+
+
+@dataclass
+class Recorded(FileOptions, Readings):
+    """Readings from a file."""
+
+    start: float | str | None = option(
+        None, "what is t = 0: a time as in the file (s, or a date), or first: its first reading; null: 0 s"
+    )
+    origin: list[float] | None = option(None, "[lon, lat] of the plane's (0, 0) in degrees; null: that of the site")
+    variable: str | None = option(None, "state variable that was read; null: the first")
+    unit: str | None = option(None, "unit of the values; null: what the file says, else that of the variable")
+    reference: str | None = option(None, "what 1 of the variable stands for, such as '250 mg m-3'; null: its own unit")
+    repeated: str = option(
+        "keep", "several readings of a sensor at one time: keep them, the first, or their mean", choices=REPEATED
+    )
+    sd: float | None = option(
+        None, "standard deviation of the error of readings for which the file has none", above=0.0
+    )
+    relative_sd: float = option(0.0, "another part of the error, as a share of the value less background", minimum=0.0)
+    background: float = option(0.0, "subtracted from every value, in the unit of the file")
+    detection_limit: float | None = option(
+        None, "of a value (less background) below it is only known that it lies between 0 and this", above=0.0
+    )
+    response_time: float = option(0.0, "time constant with which sensors follow what they meet, s", minimum=0.0)
+    sensors: dict[str, Any] = option(
+        {}, "by sensor: a mapping with its own sd, relative_sd, background, detection_limit, response_time"
+    )
+
+    @classmethod
+    def check_options(cls) -> Mapping[str, Any]:
+        """Return the file that ships with dafw, from a time at which its drone was in the kit's rectangle."""
+        return {"file": EXAMPLE, "start": 15.0}
+
+    def __post_init__(self) -> None:
+        if self.origin is not None and not (
+            len(self.origin) == 2 and abs(self.origin[0]) <= 180.0 and abs(self.origin[1]) < 90.0
+        ):
+            raise ConfigurationError(
+                f"readings 'recorded': origin must be [longitude, latitude] in degrees, got {self.origin}"
+            )
+        for name, own in self.sensors.items():
+            where = f"readings 'recorded', sensor '{name}'"
+            if not isinstance(own, Mapping):
+                raise ConfigurationError(f"{where}: expected a mapping of options, got {own!r}")
+            build(SensorOptions, own, where)
+
+    @cached_property
+    def rows(self) -> Table:
+        """The file's rows as they are; raises ReadingsError."""
+        return with_unit(read_table(self), self.unit)
+
+    @cached_property
+    def usable(self) -> Usable:
+        """The readings, with errors, in the time of the study; raises ReadingsError."""
+        kind = self.rows.place_kind(self.place)
+        table, incomplete = complete(self.rows, kind)
+        table, doubled = without_doubles(table)
+        start = start_of(table, self.start)
+        common = SensorOptions(self.sd, self.relative_sd, self.background, self.detection_limit, self.response_time)
+        sensors = sensors_of(table, common, self.sensors, "readings 'recorded'")
+        table = with_errors(in_study_time(table, start), sensors)
+        table, repeated = without_repeats(table, self.repeated)
+        table, slow = undone_response(table, sensors)
+        table, below = censored(table, sensors)
+        dropped = 0 if self.repeated == "keep" else repeated
+        counts = dict(incomplete=incomplete, doubled=doubled, repeated=dropped, slow_start=slow)
+        return Usable(table, kind, start, counts, below, repeated)
+
+    def suit(self, space: StateSpace, domain: Domain | None, dt: float) -> None:
+        """Read the file; raises ReadingsError if it cannot be read, or if none of its readings can be used."""
+        fitted = self._fitted(space, domain)
+        if not (fitted.table.number("time") > 0.0).any():
+            left = [f"{count} {REASONS[reason]}" for reason, count in fitted.counts.items() if count]
+            early = len(fitted.table)
+            raise self.rows.error(
+                f"none of its {len(self.rows)} rows can be used: "
+                + ", ".join(
+                    [*left, *([f"{early} not after the start of the study"] if early else [])] or ["it has none"]
+                )
+            )
+
+    def _fitted(self, space: StateSpace, domain: Domain | None) -> Fitted:
+        """Return the readings as observations of a state; kept, because every cycle asks for the same."""
+        kept = self.__dict__.get("_kept")
+        if kept is not None and kept[0] is space and kept[1] is domain:
+            found: Fitted = kept[2]
+            return found
+        usable = self.usable
+        variable = space.variables[0] if self.variable is None else space[self.variable]
+        values, sd = converted(usable.table, self.reference or variable.units)
+        origin = None if self.origin is None else (self.origin[0], self.origin[1])
+        at = placed(usable.table, usable.kind, space, domain, self.variable, origin)
+        free = ~(at.outside | at.in_building)
+        table = usable.table.chosen(free)
+        counts = {**usable.counts, "outside": int(at.outside.sum()), "in_building": int(at.in_building.sum())}
+        coordinates = None if at.coordinates is None else at.coordinates[free]
+        nowhere = np.zeros(len(table), dtype=np.bool_)
+        at = Placed(at.indices[free], at.weights[free], coordinates, nowhere, nowhere)
+        late = table.number("arrives")
+        arrives = np.where(np.isnan(late), table.number("time"), late)
+        fitted = Fitted(table, values[free], sd[free] ** 2, at, arrives, counts)
+        self.__dict__["_kept"] = (space, domain, fitted)
+        return fitted
+
+    def take_with_memory(self, request: Request, memory: Memory | None, rng: np.random.Generator) -> Taken:
+        """Return an observation for each time of which readings arrived in this cycle, or by then in the first."""
+        fitted = self._fitted(request.space, request.domain)
+        slack = FORGIVEN * (request.end - request.start)
+        opened = -np.inf if request.cycle == 0 else request.start + slack
+        due = np.flatnonzero((fitted.arrives > opened) & (fitted.arrives <= request.end + slack))
+        times = np.minimum(fitted.table.number("time")[due], request.end)
+        named = any(fitted.table.text("sensor"))
+        taken = []
+        for time in np.unique(times).tolist():
+            rows = due[times == time]
+            at = fitted.placed
+            operator = Interpolation(
+                indices=at.indices[rows],
+                weights=at.weights[rows],
+                covariance=fitted.variances[rows],
+                coordinates=None if at.coordinates is None else at.coordinates[rows],
+                sensors=tuple(fitted.table.text("sensor")[rows]) if named else None,
+            )
+            taken.append(Observation(fitted.values[rows], operator, time))
+        if request.cycle:
+            return Taken(taken)
+        return Taken(taken, left_out={reason: count for reason, count in fitted.counts.items() if count})
+
+    def notes(self) -> list[str]:
+        """Return what the file holds and how it is used, in one sentence."""
+        if "_kept" not in self.__dict__:
+            return []
+        fitted: Fitted = self.__dict__["_kept"][2]
+        time = fitted.table.number("time")
+        parts = [f"{len(self.rows)} rows in {self.rows.path}", f"{len(time)} are readings of the site"]
+        parts += [f"of t = {time.min():g} to {time.max():g} s"] if len(time) else []
+        parts += [f"{count} {REASONS[reason]}" for reason, count in fitted.counts.items() if count]
+        parts += [f"{self.usable.below} below the detection limit"] if self.usable.below else []
+        if not all(fitted.table.text("unit")):
+            parts += ["values without a unit are taken in that of the variable"]
+        return [f"{self.label}: {', '.join(parts)}"]
