@@ -35,6 +35,8 @@ from dafw.core.rng import Streams
 from dafw.core.space import Array
 from dafw.core.window import Outlook, PastCycle, Window
 
+TRUTH_ERROR, FREE_ERROR = "truth error", "free error"
+"""The roles of the random streams of the truth's and the free run's steps."""
 PHASES = ("decide", "forecast", "truth", "free", "observe", "analyse", "record")
 
 
@@ -193,10 +195,10 @@ def advance(parts: Parts, state: State) -> Cycle:
         # While the workers step the belief, this process steps the truth and the free run.
         if parts.truth is not None and truth is not None:
             clock.phase("truth", parts.truth)
-            truth = parts.truth.forecast(truth.ensemble, truth.memory, streams.members("truth error", cycle))
+            truth = parts.truth.forecast(truth.ensemble, truth.memory, streams.members(TRUTH_ERROR, cycle))
         if parts.free is not None and free is not None:
             clock.phase("free", parts.free)
-            free = parts.free.forecast(free.ensemble, free.memory, streams.members("free error", cycle))
+            free = parts.free.forecast(free.ensemble, free.memory, streams.members(FREE_ERROR, cycle))
         clock.phase("forecast", parts.model)
         forecast = parts.model.stepped(belief.ensemble, stepped().steps[-1])
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from dafw.core.errors import ConfigurationError
+from dafw.core.forecasts.plan import ForecastPlan
 from dafw.core.interfaces import Model
 from dafw.core.late import LATE_CHOICES
 from dafw.core.options import build, merged, option
@@ -67,6 +68,7 @@ class StudyOptions:
     score_truth: bool = option(False, "compute the truth for the scores, even if the readings do not come from it")
     vehicle: VehicleOptions = field(default_factory=VehicleOptions)
     record: RecordOptions = field(default_factory=RecordOptions)
+    forecast: ForecastPlan = field(default_factory=ForecastPlan)
     section: list[list[float]] = option([], "corners [[x, y], ...] of the polyline of the section picture, in metres")
     pictures: bool = option(True, "draw the pictures at the end")
 
@@ -112,6 +114,7 @@ def study_from(config: Mapping[str, Any]) -> Study:
         record=options.record.members,
         record_fields=options.record.fields,
         section=options.section,
+        forecast=options.forecast,
         pictures=options.pictures,
         name=options.name,
         configuration=dict(config),

@@ -18,6 +18,9 @@ from dafw.core.cycle import Cycle, Parts, State, advance, start
 from dafw.core.ensemble import Route, Vehicle
 from dafw.core.errors import ConfigurationError
 from dafw.core.executors import Executor
+from dafw.core.forecasts.ahead import arrays_of
+from dafw.core.forecasts.areas import places_of
+from dafw.core.forecasts.plan import ForecastPlan
 from dafw.core.interfaces import Filter, Model, Observer, Policy, Readings
 from dafw.core.interpolation import view
 from dafw.core.late import LATE_CHOICES
@@ -52,6 +55,7 @@ class Study:
     late_readings            what to do with late readings from before the filter's window: ``drop`` or ``use`` now
     record                   the variables for which run.nc keeps every member: none, parameters, all
     record_fields            the rows of run.nc that have the fields: all, or its ends, the first and the last
+    forecast                 the forecasts of a run: how often, how far, of what; by default none
     section                  corners [[x, y], ...] of the polyline of the section picture, in metres
     pictures                 whether a run of the study ends with its pictures
     name                     what the study is called in files, titles and messages
@@ -76,6 +80,7 @@ class Study:
     late_readings: str = "drop"
     record: str = "parameters"
     record_fields: str = "all"
+    forecast: ForecastPlan = field(default_factory=ForecastPlan)
     section: Sequence[Sequence[float]] = ()
     pictures: bool = False
     name: str = "study"
@@ -96,6 +101,9 @@ class Study:
                 wanted_kind = f"an {kind.kind}" if kind.kind[0] in "aeo" else f"a {kind.kind}"
                 raise ConfigurationError(f"a study's {role} must be {wanted_kind}, got {type(part).__name__}")
             require_options(part, part.label)
+        if not isinstance(self.forecast, ForecastPlan):
+            raise ConfigurationError(f"a study's forecast must be a ForecastPlan, got {type(self.forecast).__name__}")
+        require_options(self.forecast, "study, forecast")
         for label, value, choices in (
             ("late_readings", self.late_readings, LATE_CHOICES),
             ("record", self.record, RECORDED),
@@ -177,6 +185,9 @@ class Study:
         if self.filter.weighs_first_guess:
             model.require_log_first_guess()
         self.readings.suit(model.space, model.domain, model.dt)
+        if self.forecast.every is not None:
+            self.forecast.suit(model.dt)
+            places_of(self.forecast, model.space.variables[0], model.domain)
         self._require_memory()
         parts = Parts(
             model=model,
@@ -218,6 +229,8 @@ class Study:
             wanted[f"the members in the workers of {self.executor.label}"] = copies * state
         if window:
             wanted[f"{beliefs} past beliefs that {self.filter.label} looks back to"] = beliefs * state
+        if self.forecast.every is not None:
+            wanted["forecasts of all members"] = state * arrays_of(self.forecast)
         require_memory(wanted)
 
     def begin(self) -> tuple[Parts, State]:

@@ -14,14 +14,25 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
-from dafw.core.cycle import Cycle, Parts, advance, start
+from dafw.core.cycle import Cycle, Parts, State, advance, start
 from dafw.core.ensemble import Vehicle
-from dafw.core.errors import ComputationError, ConfigurationError, DafwError, RecordError, RunError
+from dafw.core.errors import (
+    ComputationError,
+    ConfigurationError,
+    DafwError,
+    DivergenceError,
+    RecordError,
+    RunError,
+    SolverError,
+)
 from dafw.core.files import claim, write_atomically
+from dafw.core.forecasts.ahead import run_ahead
+from dafw.core.forecasts.areas import places_of
 from dafw.core.plugin import by_plugin
 from dafw.core.progress import progress
 from dafw.core.record import Record
 from dafw.core.study import Study
+from dafw.studies.forecasting import Forecasting
 from dafw.studies.reporting import closing_line, log_domain, log_file, postfix, sentence, warn_once
 from dafw.studies.stopping import Interrupted, Stop, stop_signals
 from dafw.studies.summary import Summary
@@ -76,8 +87,13 @@ def follow_study(study: Study, communicator: Any) -> None:
     with stop_signals() as stop, threadpool_limits(limits=1, user_api="blas"):
         state = start(parts, study.members, vehicle)
         stop.patient = True
+        plan = study.forecast
         for done in range(1, study.cycles + 1):
             state = advance(parts, state).state
+            if plan.is_due(done, parts.model.dt):
+                places = places_of(plan, parts.model.space.variables[0], parts.model.domain)
+                with suppress(SolverError, DivergenceError):  # rank 0 says so
+                    run_ahead(parts, state, plan, places)
             if stop.agreed(communicator) and done < study.cycles:
                 raise Interrupted
 
@@ -103,6 +119,7 @@ class _Run:
         self.study, self.folder, self.communicator = study, folder, communicator
         self.summary = Summary(study, begun, communicator.size if communicator else 1)
         self.record: Record | None = None
+        self.forecasting: Forecasting | None = None
         self._writing = _Writing(folder)
         # The status of a run that is killed before it can write another one.
         self.noted = perf_counter()
@@ -128,6 +145,8 @@ class _Run:
                 attributes=summary.file_attributes(),
                 fields=study.record_fields,
             )
+            if study.forecast.every is not None:
+                self.forecasting = Forecasting(study.forecast, parts, state, self.folder, summary.file_attributes())
         logged = 0.0
         with progress(study.cycles, "cycle") as bar:
             for done in range(1, study.cycles + 1):
@@ -139,6 +158,7 @@ class _Run:
                 summary.add(cycle, scores)
                 self._say(cycle, parts)
                 state = cycle.state
+                self._look_ahead(done, state, parts)
                 if perf_counter() - logged > LOG_SECONDS or done == study.cycles:
                     logged = perf_counter()
                     log.info("%s", sentence(cycle, scores))
@@ -160,12 +180,26 @@ class _Run:
         for what, text in self.summary.warnings(cycle, parts):
             warn_once(self.summary.warned, what, f"t = {time:g} s: {text}")
 
+    def _look_ahead(self, done: int, state: State, parts: Parts) -> None:
+        """Make a forecast if one is due."""
+        if self.forecasting is None or not self.study.forecast.is_due(done, parts.model.dt):
+            return
+        with self._writing:
+            warning = self.forecasting.issue(state)
+        self.summary.forecasts = self.forecasting.summary()
+        if warning is not None:
+            warn_once(self.summary.warned, "forecast", f"t = {state.belief.ensemble.time:g} s: {warning}")
+
     def end(self, status: str, error: str = "") -> None:
         """Close the record and say how the run ended; raises RecordError if that cannot be written."""
         try:
             with self._writing:
-                if self.record is not None:
-                    self.record.close()
+                try:
+                    if self.forecasting is not None:
+                        self.forecasting.close()
+                finally:
+                    if self.record is not None:
+                        self.record.close()
         except RecordError as failure:
             status, error = "failed", error or str(failure)
             raise

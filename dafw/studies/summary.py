@@ -37,6 +37,7 @@ class Summary:
         self.warned: set[str] = set()
         self.diverged_at: float | None = None
         self.pinned: dict[str, Mapping[str, Any]] = {}
+        self.forecasts: Mapping[str, Any] | None = None
         self.versions = _versions(study)
         self._seconds: defaultdict[str, float] = defaultdict(float)
         self._scores: Mapping[str, float] = {}
@@ -114,6 +115,7 @@ class Summary:
             "phase_seconds": {phase: round(seconds, 4) for phase, seconds in self._seconds.items()},
             "versions": self.versions,
         }
+        summary |= {"forecasts": dict(self.forecasts)} if self.forecasts is not None else {}
         return summary | ({"error": self.error} if self.error else {})
 
     def file_attributes(self) -> dict[str, str | int]:

@@ -1,0 +1,1 @@
+"""Forecasts that a decision can rest on: the belief run ahead, what it says of places and areas, and its files."""

@@ -1,0 +1,83 @@
+"""Where a field on triangles is above a threshold: polygons, and GeoJSON of them.
+
+The field is linear on each triangle, so the part of a triangle that is above the threshold is the triangle itself, a
+smaller triangle or a quadrilateral. Places on a shared edge are computed from its nodes in the same order, so the parts
+of neighbours fit together to the last bit, and shapely's union of a coverage joins them.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dafw.core.geography import to_degrees
+from dafw.core.space import Array
+
+GRID = 1e-8
+"""Degrees to which coordinates are rounded: about a millimetre."""
+
+
+def region_above(nodes: Array, triangles: NDArray[np.int32], values: Array, threshold: float) -> Any:
+    """Return where the field ``values`` (n,) at ``nodes`` (n, 2) exceeds a threshold, as a shapely (multi)polygon."""
+    import shapely
+
+    above = values - threshold
+    inside = above > 0.0
+    count = inside[triangles].sum(axis=1)
+    parts = [shapely.polygons(nodes[triangles[count == 3]])] if (count == 3).any() else []
+    for number in (1, 2):
+        some = triangles[count == number]
+        if not len(some):
+            continue
+        # The corner that is alone on its side comes first; the orientation stays.
+        alone = np.argmax(inside[some] == (number == 1), axis=1)
+        a, b, c = (np.take_along_axis(some, ((alone + turn) % 3)[:, np.newaxis], axis=1)[:, 0] for turn in range(3))
+        ab, ac = _crossing(nodes, above, a, b), _crossing(nodes, above, a, c)
+        corners = [nodes[a], ab, ac] if number == 1 else [ab, nodes[b], nodes[c], ac]
+        parts.append(shapely.polygons(np.stack(corners, axis=1)))
+    if not parts:
+        return shapely.MultiPolygon()
+    return shapely.coverage_union_all(np.concatenate(parts))
+
+
+def _crossing(nodes: Array, above: Array, i: Any, j: Any) -> Array:
+    """Return where the field is zero on the edges from nodes i to nodes j, one inside and one outside, (k, 2)."""
+    first, last = np.minimum(i, j), np.maximum(i, j)
+    share = above[first] / (above[first] - above[last])
+    return np.asarray(nodes[first] + share[:, np.newaxis] * (nodes[last] - nodes[first]))
+
+
+def in_degrees(polygon: Any, origin: tuple[float, float]) -> Any:
+    """Return a polygon in metres in longitude and latitude, valid, with outer rings counter-clockwise (RFC 7946)."""
+    import shapely
+
+    moved = shapely.transform(polygon, lambda metres: to_degrees(metres, origin))
+    moved = shapely.set_precision(shapely.make_valid(moved), GRID)
+    parts = [part for part in shapely.get_parts(moved) if part.geom_type in ("Polygon", "MultiPolygon")]
+    return shapely.orient_polygons(shapely.MultiPolygon(_flat(parts)))
+
+
+def _flat(parts: Sequence[Any]) -> list[Any]:
+    import shapely
+
+    return [one for part in parts for one in shapely.get_parts(part)]
+
+
+def feature(polygon: Any, properties: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a GeoJSON feature of a polygon in degrees; numbers that are not finite become null."""
+    import shapely
+
+    plain = {
+        name: None if isinstance(value, float) and not np.isfinite(value) else value
+        for name, value in properties.items()
+    }
+    return {"type": "Feature", "properties": plain, "geometry": json.loads(shapely.to_geojson(polygon))}
+
+
+def collection(features: Sequence[Mapping[str, Any]]) -> str:
+    """Return the text of a GeoJSON file."""
+    return json.dumps({"type": "FeatureCollection", "features": list(features)}, allow_nan=False) + "\n"
