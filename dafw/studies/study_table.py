@@ -36,7 +36,7 @@ def table(summary: Mapping[str, Any]) -> str:
     for one in configurations:
         failed = f" ({one['n_failed']} failed)" if one["n_failed"] else ""
         rows.append([one["name"], f"{one['n_seeds']}{failed}", *(_cell(one, key) for key in shown)])
-    return _aligned(rows)
+    return aligned(rows)
 
 
 def _cell(one: Mapping[str, Any], key: str) -> str:
@@ -64,7 +64,7 @@ def _written(value: float, form: str) -> str:
     return f"{value:.2f}"
 
 
-def _aligned(rows: Sequence[Sequence[str]]) -> str:
+def aligned(rows: Sequence[Sequence[str]]) -> str:
     """Return rows, the first of them the headings, as a Markdown table whose columns are aligned."""
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     lines = [

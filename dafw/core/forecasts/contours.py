@@ -25,23 +25,33 @@ def region_above(nodes: Array, triangles: NDArray[np.int32], values: Array, thre
     """Return where the field ``values`` (n,) at ``nodes`` (n, 2) exceeds a threshold, as a shapely (multi)polygon."""
     import shapely
 
+    whole = triangles[(values > threshold)[triangles].all(axis=1)]
+    parts = [shapely.polygons(nodes[whole])] if len(whole) else []
+    for number in (1, 2):
+        (a, b, c), ab, ac = _cut(nodes, triangles, values, threshold, number)
+        corners = [nodes[a], ab, ac] if number == 1 else [ab, nodes[b], nodes[c], ac]
+        parts += [shapely.polygons(np.stack(corners, axis=1))] if len(ab) else []
+    return shapely.coverage_union_all(np.concatenate(parts)) if parts else shapely.MultiPolygon()
+
+
+def contour_of(nodes: Array, triangles: NDArray[np.int32], values: Array, threshold: float) -> Array:
+    """Return where the field equals a threshold, as segments (k, 2, 2): not along walls or the edge of the mesh."""
+    pieces = [_cut(nodes, triangles, values, threshold, number)[1:] for number in (1, 2)]
+    return np.concatenate([np.stack(piece, axis=1) for piece in pieces])
+
+
+def _cut(nodes: Array, triangles: NDArray[np.int32], values: Array, threshold: float, number: int) -> Any:
+    """Return the triangles that have so many corners, 1 or 2, above a threshold, and where the threshold cuts them.
+
+    The corners (a, b, c), each (k,), in the triangles' orientation: a is alone on its side. The cuts (k, 2) lie on the
+    edges ab and ac.
+    """
     above = values - threshold
     inside = above > 0.0
-    count = inside[triangles].sum(axis=1)
-    parts = [shapely.polygons(nodes[triangles[count == 3]])] if (count == 3).any() else []
-    for number in (1, 2):
-        some = triangles[count == number]
-        if not len(some):
-            continue
-        # The corner that is alone on its side comes first; the orientation stays.
-        alone = np.argmax(inside[some] == (number == 1), axis=1)
-        a, b, c = (np.take_along_axis(some, ((alone + turn) % 3)[:, np.newaxis], axis=1)[:, 0] for turn in range(3))
-        ab, ac = _crossing(nodes, above, a, b), _crossing(nodes, above, a, c)
-        corners = [nodes[a], ab, ac] if number == 1 else [ab, nodes[b], nodes[c], ac]
-        parts.append(shapely.polygons(np.stack(corners, axis=1)))
-    if not parts:
-        return shapely.MultiPolygon()
-    return shapely.coverage_union_all(np.concatenate(parts))
+    some = triangles[inside[triangles].sum(axis=1) == number]
+    alone = np.argmax(inside[some] == (number == 1), axis=1)
+    a, b, c = (np.take_along_axis(some, ((alone + turn) % 3)[:, np.newaxis], axis=1)[:, 0] for turn in range(3))
+    return (a, b, c), _crossing(nodes, above, a, b), _crossing(nodes, above, a, c)
 
 
 def _crossing(nodes: Array, above: Array, i: Any, j: Any) -> Array:

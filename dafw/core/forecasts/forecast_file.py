@@ -58,7 +58,14 @@ class ForecastFile:
             self._file = netCDF4.Dataset(path, "w", clobber=False, format="NETCDF4")
         except OSError as error:
             raise RunError(f"{path}: cannot be written, or is there already ({error})") from error
-        self._file.setncatts({"Conventions": "CF-1.11 UGRID-1.0", "scored_variable": variable.name, **attributes})
+        self._file.setncatts(
+            {
+                "Conventions": "CF-1.11 UGRID-1.0",
+                "scored_variable": variable.name,
+                "horizon": plan.horizon,
+                **attributes,
+            }
+        )
         self._coordinates(variable.size, variable.coordinates)
         domain = parts.model.domain
         if domain is not None:
@@ -70,6 +77,11 @@ class ForecastFile:
             if peaks.areas:
                 self._names(kind, peaks.names)
                 self._define_places(f"{kind}_", kind, f", largest in the {kind}")
+        if places.areas.areas:
+            self._file.createDimension("member", len(start[0]))
+            text = "lead time when the threshold is first exceeded in the area, by member"
+            self._define("area_arrival_time_members", ("issue", "threshold", "member", "area"), "s", text)
+            self._define("weight", ("issue", "member"), "1", "weights of the members")
         if singles:
             self._released(*start)
         self._row = 0
@@ -185,6 +197,10 @@ class ForecastFile:
                     f"{prefix}clearing_time_{single}": _known(own.clearing[:, 0]),
                     f"{prefix}dose_{single}": own.dose[0],
                 }
+        if self._places.areas.areas:
+            weights, size = belief.areas.weights, len(belief.areas.dose)
+            values["area_arrival_time_members"] = _known(belief.areas.arrival)
+            values["weight"] = np.full(size, 1.0 / size) if weights is None else weights
         for name, found in values.items():
             self._file.variables[name][row] = found
         self._file.variables["issue"][row] = belief.time

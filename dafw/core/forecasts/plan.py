@@ -66,8 +66,8 @@ class ForecastPlan:
 
     @property
     def shares(self) -> list[float]:
-        """The probabilities of the quantiles, in order."""
-        return sorted(map(float, self.quantiles))
+        """The probabilities of the quantiles and the median's, in order."""
+        return sorted({MEDIAN, *map(float, self.quantiles)})
 
     @property
     def probabilities(self) -> list[float]:
