@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     )
     from dafw.core.executors import Executor
     from dafw.core.executors.batches import Batch, Stepped, step_members
+    from dafw.core.forecasts.forecast_file import open_forecasts
+    from dafw.core.forecasts.plan import ForecastPlan
     from dafw.core.hookspecs import PluginSpec, hookimpl
     from dafw.core.interfaces import Filter, Model, Observer, Policy, Readings
     from dafw.core.interfaces.readings import Request, Taken
@@ -38,6 +40,7 @@ if TYPE_CHECKING:
     from dafw.core.study import Study
     from dafw.core.sweeps import open_sweep
     from dafw.core.window import Outlook, PastCycle, Window
+    from dafw.studies.forecast_scores import forecast_scores
     from dafw.studies.running import run
 
 _HOMES = {
@@ -58,6 +61,8 @@ _HOMES = {
         "RunError",
         "SolverError",
     ),
+    "dafw.core.forecasts.forecast_file": ("open_forecasts",),
+    "dafw.core.forecasts.plan": ("ForecastPlan",),
     "dafw.core.hookspecs": ("PluginSpec", "hookimpl"),
     "dafw.core.interfaces": ("Filter", "Model", "Observer", "Policy", "Readings"),
     "dafw.core.interfaces.readings": ("Request", "Taken"),
@@ -77,6 +82,7 @@ _HOMES = {
     "dafw.core.space": ("ANGLE", "FIELD", "NONNEGATIVE", "POSITIVE", "StateSpace", "Variable"),
     "dafw.authoring.function": ("model_from_function",),
     "dafw.authoring.program": ("ProgramModel",),
+    "dafw.studies.forecast_scores": ("forecast_scores",),
     "dafw.studies.running": ("run",),
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
@@ -101,6 +107,7 @@ __all__ = [
     "Executor",
     "Filter",
     "Forecast",
+    "ForecastPlan",
     "Interpolation",
     "Model",
     "Observation",
@@ -132,8 +139,10 @@ __all__ = [
     "Window",
     "advance",
     "colour",
+    "forecast_scores",
     "hookimpl",
     "model_from_function",
+    "open_forecasts",
     "open_run",
     "open_sweep",
     "option",

@@ -16,7 +16,7 @@ from dafw.core.files import write_atomically
 from dafw.core.forecasts.ahead import SINGLES, Ahead, run_ahead
 from dafw.core.forecasts.areas import places_of
 from dafw.core.forecasts.chances import exceeded
-from dafw.core.forecasts.contours import collection, feature, in_degrees, region_above
+from dafw.core.forecasts.contours import Regions, collection, feature, in_degrees
 from dafw.core.forecasts.forecast_file import FILE, ForecastFile, told_of
 from dafw.core.forecasts.plan import ForecastPlan
 from dafw.core.space import Array
@@ -42,8 +42,9 @@ class Forecasting:
         self._variable = space.variables[0]
         self._part = space.slice(self._variable.name)
         self._places = places_of(plan, self._variable, domain)
-        self._triangles = None if domain is None else domain.triangles
         self._origin = None if domain is None else domain.origin
+        nodes, triangles = self._variable.coordinates, None if domain is None else domain.triangles
+        self._regions = None if nodes is None or triangles is None else Regions(nodes, triangles)
         self.issued = self.failed = 0
         self.seconds = 0.0
         present = {"truth": state.truth, "free": state.free}
@@ -59,7 +60,7 @@ class Forecasting:
             start=(first.members[:, self._part], first.weights),
             attributes=attributes,
         )
-        if self._triangles is not None and self._origin is None:
+        if self._regions is not None and self._origin is None:
             log.warning("forecasts: %s", NO_PLACE)
 
     def issue(self, state: State) -> str | None:
@@ -71,7 +72,7 @@ class Forecasting:
             self.failed += 1
             return f"no forecast is made, the model cannot run ahead: {error}"
         self._file.write(belief, singles)
-        if self._triangles is not None and self._origin is not None:
+        if self._regions is not None and self._origin is not None:
             (self._folder / FOLDER).mkdir(exist_ok=True)
             write_atomically(
                 self._folder / FOLDER / f"issued_{time:g}s.geojson", collection(list(self._features(belief)))
@@ -83,15 +84,15 @@ class Forecasting:
 
     def _features(self, belief: Ahead) -> Iterator[dict[str, Any]]:
         """Yield the polygons of a forecast: where thresholds are exceeded, then areas and buildings."""
-        nodes, triangles, origin = self._variable.coordinates, self._triangles, self._origin
-        if nodes is None or triangles is None or origin is None:
+        regions, origin = self._regions, self._origin
+        if regions is None or origin is None:
             return
         common = {"issue": belief.time, "variable": self._variable.name, "units": self._variable.units}
         for row, lead in enumerate(self._plan.leads):
             for probability in sorted(self._plan.contours):
                 field = exceeded(belief.nodes.values[row], belief.nodes.weights, probability)
                 for limit in self._plan.limits:
-                    region = region_above(nodes, triangles, field, limit)
+                    region = regions.above(field, limit)
                     if region.is_empty:
                         continue
                     told = {"lead": lead, "valid_time": belief.time + lead, "threshold": limit}

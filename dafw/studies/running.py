@@ -28,6 +28,7 @@ from dafw.core.errors import (
 from dafw.core.files import claim, write_atomically
 from dafw.core.forecasts.ahead import run_ahead
 from dafw.core.forecasts.areas import places_of
+from dafw.core.forecasts.forecast_file import FILE
 from dafw.core.plugin import by_plugin
 from dafw.core.progress import progress
 from dafw.core.record import Record
@@ -250,6 +251,11 @@ def _draw(folder: Path) -> None:
     try:
         with open_run(folder) as run:
             for path in draw_all(run, folder / "figures"):
+                log.info("picture %s", path.name)
+        if (folder / FILE).exists():
+            from dafw.views.forecasts import draw_forecast
+
+            for path in draw_forecast(folder):
                 log.info("picture %s", path.name)
     except DafwError as error:
         log.warning("a picture cannot be drawn: %s", error)

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import PercentFormatter
 
+from dafw.core.forecasts.forecast_file import open_forecasts
 from dafw.views.contents import buildings, triangulation
 from dafw.views.files import save
 from dafw.views.maps import draw_field, height_to_width
@@ -31,6 +32,10 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
 
+MOST_SIZE, LEAST_SIZE = 160.0, 6.0
+"""Areas, in square points, of the points of a reliability diagram: of the whole site, and the least."""
+
+
 def draw_forecasts(forecasts: Mapping[str, Mapping[str, Any]], folder: Path) -> list[Path]:
     """Draw the reliability diagrams of a study's configurations (``study_forecasts``); return the files."""
     return [
@@ -39,10 +44,19 @@ def draw_forecasts(forecasts: Mapping[str, Mapping[str, Any]], folder: Path) -> 
     ]
 
 
+def draw_forecast(folder: Path) -> list[Path]:
+    """Draw maps of the last forecast of a run to its ``figures``; return the files. Without a mesh there are none."""
+    with open_forecasts(folder) as forecasts:
+        if "mesh2d_face_nodes" not in forecasts or not forecasts.sizes["issue"]:
+            return []
+        return [save(plot_forecast(forecasts), folder / "figures" / "forecast.png")]
+
+
 def plot_reliability(told: Mapping[str, Any], name: str) -> Figure:
     """Draw promised probability against what happened: at the nodes by lead time, and of the areas.
 
-    One row for each threshold. Bars are 95 % intervals, numbers are counts of forecasts of an area.
+    One row for each threshold. The area of a point goes with the root of the share of the site that had such a promise.
+    Bars are 95 % intervals as if all forecasts of areas were independent, numbers are their counts.
     """
     limits = sorted({row["threshold"] for row in told["reliability"]})
     areas = {row["threshold"]: row for row in told.get("areas", [])}
@@ -56,7 +70,9 @@ def plot_reliability(told: Mapping[str, Any], name: str) -> Figure:
         for number, one in enumerate(leads):
             promised, happened = _points(one)
             colour = RUN_COLOURS[number % len(RUN_COLOURS)]
-            axes.plot(promised, happened, "o-", color=colour, markersize=4, linewidth=1.5, gid="reliability")
+            axes.plot(promised, happened, "-", color=colour, linewidth=1.2, gid="reliability")
+            sizes = MOST_SIZE * np.sqrt([share for share in one["share"] if share > 0.0])
+            axes.scatter(promised, happened, np.maximum(sizes, LEAST_SIZE), color=colour, linewidths=0, zorder=3)
             if row == 0:
                 handles.append(Line2D([], [], color=colour, marker="o", label=f"lead time {one['lead']:g} s"))
         axes.set_title(f"exceeds {limit:g}, at a place", fontsize=10.5)

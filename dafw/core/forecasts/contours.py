@@ -21,17 +21,34 @@ GRID = 1e-8
 """Degrees to which coordinates are rounded: about a millimetre."""
 
 
-def region_above(nodes: Array, triangles: NDArray[np.int32], values: Array, threshold: float) -> Any:
-    """Return where the field ``values`` (n,) at ``nodes`` (n, 2) exceeds a threshold, as a shapely (multi)polygon."""
-    import shapely
+class Regions:
+    """Finds where fields on a mesh exceed thresholds; the mesh's triangles are made into polygons once.
 
-    whole = triangles[(values > threshold)[triangles].all(axis=1)]
-    parts = [shapely.polygons(nodes[whole])] if len(whole) else []
-    for number in (1, 2):
-        (a, b, c), ab, ac = _cut(nodes, triangles, values, threshold, number)
-        corners = [nodes[a], ab, ac] if number == 1 else [ab, nodes[b], nodes[c], ac]
-        parts += [shapely.polygons(np.stack(corners, axis=1))] if len(ab) else []
-    return shapely.coverage_union_all(np.concatenate(parts)) if parts else shapely.MultiPolygon()
+    ``nodes`` are (n, 2), ``triangles`` (faces, 3).
+
+    >>> half = Regions(np.array([[0.0, 0.0], [2.0, 0.0], [0.0, 2.0]]), np.array([[0, 1, 2]]))
+    >>> half.above(np.array([0.0, 2.0, 0.0]), 1.0).area
+    0.5
+    """
+
+    def __init__(self, nodes: Array, triangles: NDArray[np.int32]) -> None:
+        import shapely
+
+        self.nodes, self.triangles = nodes, triangles
+        self._polygons = shapely.polygons(nodes[triangles])
+
+    def above(self, values: Array, threshold: float) -> Any:
+        """Return where the field ``values`` (n,) exceeds a threshold, as a shapely polygon or multipolygon."""
+        import shapely
+
+        nodes = self.nodes
+        whole = (values > threshold)[self.triangles].all(axis=1)
+        parts = [self._polygons[whole]] if whole.any() else []
+        for number in (1, 2):
+            (a, b, c), ab, ac = _cut(nodes, self.triangles, values, threshold, number)
+            corners = [nodes[a], ab, ac] if number == 1 else [ab, nodes[b], nodes[c], ac]
+            parts += [shapely.polygons(np.stack(corners, axis=1))] if len(ab) else []
+        return shapely.coverage_union_all(np.concatenate(parts)) if parts else shapely.MultiPolygon()
 
 
 def contour_of(nodes: Array, triangles: NDArray[np.int32], values: Array, threshold: float) -> Array:
