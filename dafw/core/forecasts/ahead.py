@@ -56,12 +56,16 @@ def arrays_of(plan: ForecastPlan) -> int:
 
 
 def run_ahead(parts: Parts, state: State, plan: ForecastPlan, places: Places) -> tuple[Ahead, dict[str, Ahead]]:
-    """Return the forecast of the belief and, if the plan verifies, what ``truth`` and ``free`` run will do.
+    """Return the forecast of the belief and what ``truth`` and ``free`` run will do.
+
+    Those are run only if the plan verifies and there is a truth to judge by.
 
     Raises what the models raise; the state and all that is computed from it later stay as they are.
     """
     belief = belief_ahead(parts, state, plan, places)
-    singles = {} if not plan.verify else {name: ahead(parts, state, plan, places) for name, ahead in SINGLES.items()}
+    if not plan.verify or parts.truth is None:
+        return belief, {}
+    singles = {name: ahead(parts, state, plan, places) for name, ahead in SINGLES.items()}
     return belief, {name: found for name, found in singles.items() if found is not None}
 
 
