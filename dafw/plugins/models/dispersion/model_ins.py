@@ -141,11 +141,13 @@ class AdvectionDiffusionINS(AdvectionDiffusion):
         solved = self.due(speed, direction, memory)
         kept = np.zeros(len(speed), dtype=bool)
         iterations = np.zeros(len(speed), dtype=np.int64)
-        for member in np.flatnonzero(solved):
+        due = np.flatnonzero(solved).tolist()
+        self.solver.solve_ahead([(float(speed[member]), float(direction[member])) for member in due], spare_cores())
+        for member in due:
             first = np.isnan(memory["speed"][member])
             start = None if first else self._unit.local(memory["unit"][member])
             try:
-                with about_member(int(member)):
+                with about_member(member):
                     wind = self.solver.solve(speed[member], direction[member], start)
             except SolverError:
                 if self.on_unsolved == "stop" or first:
