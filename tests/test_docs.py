@@ -30,6 +30,7 @@ PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").g
 MESH = "model.mesh.wall_size=60 model.mesh.far_size=90 model.mesh.across=1"
 COARSE = f"cycles=1 members=3 pictures=false {MESH}"
 BASIS = "model.wind.basis.directions=4 model.wind.basis.levels=1 model.wind.basis.modes=6 model.wind.basis.tolerance=1"
+AHEAD = "forecast.every=1 forecast.horizon=2 'forecast.lead_times=[0,1,2]'"
 FLAGSHIP = r"^dafw run(?!.*--cfg)(?!.*experiment=(?!enie2d|leak))(?!.*~experiment).*$"
 BENCHMARKS = f"PYTHONPATH={ROOT} python -m benchmarks"
 REDUCED = {
@@ -73,6 +74,18 @@ REDUCED = {
     r"^dafw study leak.*": (
         f"dafw study leak {COARSE} {BASIS} members=4 --seeds 0 --configurations place_known",
         "one run with some 300 nodes, four members, one cycle, a basis of four winds",
+    ),
+    r"^dafw study forecast$": (
+        f"dafw study forecast {COARSE} {BASIS} {AHEAD} --seeds 600 --configurations drawn",
+        "one run with some 300 nodes, three members, one cycle, one forecast of two seconds",
+    ),
+    r"^dafw run experiment=evacuation.*$": (
+        rf"\g<0> {COARSE} {BASIS} {AHEAD}",
+        "some 300 nodes, three members, one cycle, one forecast of two seconds",
+    ),
+    r"^dafw run forecast\.every=.*$": (
+        rf"\g<0> {AHEAD}",
+        "one forecast of two seconds; the mesh and the basis as in other studies",
     ),
     r"^dafw run experiment=leak.*$": (rf"\g<0> {BASIS}", "a basis of four winds"),
     r"^dafw study tiny --seeds .*": (

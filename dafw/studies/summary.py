@@ -114,8 +114,8 @@ class Summary:
             "pinned": self.pinned,
             "phase_seconds": {phase: round(seconds, 4) for phase, seconds in self._seconds.items()},
             "versions": self.versions,
+            "forecasts": None if self.forecasts is None else dict(self.forecasts),
         }
-        summary |= {"forecasts": dict(self.forecasts)} if self.forecasts is not None else {}
         return summary | ({"error": self.error} if self.error else {})
 
     def file_attributes(self) -> dict[str, str | int]:
