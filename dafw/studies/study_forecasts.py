@@ -56,6 +56,7 @@ def judged(runs: Sequence[Dataset], name: str) -> dict[str, Any]:
         "horizon": float(scores.attrs["horizon"]),
         "variable": str(scores.attrs["scored_variable"]),
         "by_lead": list(_by_lead(scores, name)),
+        "by_issue": list(_by_issue(scores)),
         "reliability": list(_reliability(scores)),
     }
     return told | ({"areas": list(_areas(scores, name))} if "area_happened" in scores else {})
@@ -75,6 +76,17 @@ def _by_lead(scores: Dataset, name: str) -> Iterator[dict[str, Any]]:
                     if values.size > 1:
                         row[f"{key}_interval"] = bootstrap_interval(values, statistic, f"{name} {key} {limit} {lead}")
             yield row
+
+
+def _by_issue(scores: Dataset) -> Iterator[dict[str, Any]]:
+    """Yield the mean Brier scores over the seeds for each threshold, lead time and issue."""
+    means = {rival: scores[f"brier_{rival}"].mean("seed") for rival in _rivals(scores, "brier")}
+    for limit in scores["threshold"].values:
+        for lead in scores["lead"].values:
+            for issue in scores["issue"].values:
+                place = {"threshold": limit, "lead": lead, "issue": issue}
+                row = {name: float(value) for name, value in place.items()}
+                yield row | {f"brier_{rival}": _finite(mean.sel(place)) for rival, mean in means.items()}
 
 
 def _of_seeds(values: Array, median: bool) -> Array:

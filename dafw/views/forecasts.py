@@ -112,11 +112,12 @@ def _draw_areas(axes: Any, row: Mapping[str, Any]) -> None:
     bars = np.clip(np.abs(ends.T - happened), 0.0, None)
     axes.errorbar(promised, happened, yerr=bars, fmt="o", color=BELIEF_COLOUR, capsize=2.5, gid="areas")
     for x, y, number in zip(promised, happened, known, strict=True):
-        below = y > 0.5
+        offset = (-6, -14) if y > 0.5 else (6, 8)
         axes.annotate(
             str(row["n"][number]),
             (x, y),
-            xytext=(7, -9 if below else 5),
+            xytext=offset,
+            ha="right" if y > 0.5 else "left",
             textcoords="offset points",
             fontsize=8,
             color=FREE_COLOUR,

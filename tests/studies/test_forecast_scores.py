@@ -127,6 +127,11 @@ def test_bins_are_centred():
     assert bin_of(np.arange(BINS + 1) / BINS).tolist() == list(range(BINS + 1))
 
 
+def rows_of_now(chance):
+    """The Brier score of what is promised at lead 0, kept up to 5 s: three nodes in ten have changed."""
+    return 0.35 * (1.0 - chance.max()) ** 2 + 0.3 * (1.0 - chance.min()) ** 2 + 0.35 * chance.min() ** 2
+
+
 def test_runs_are_judged_together():
     truth = np.stack([front(3.5), front(6.5)])
     chance = np.where(truth > 0.0, 0.7, 0.1)
@@ -138,6 +143,8 @@ def test_runs_are_judged_together():
     assert rows[0.0]["brier_belief_interval"] == pytest.approx([0.0, single])
     assert rows[5.0]["contour_distance_now"] == pytest.approx(3.0)
     assert rows[5.0]["contour_distance_released"] is None  # infinite
+    assert [(row["lead"], row["issue"]) for row in told["by_issue"]] == [(0.0, 1.0), (5.0, 1.0)]
+    assert told["by_issue"][1]["brier_now"] == pytest.approx((0.3 + rows_of_now(chance)) / 2.0)
     (reliability,) = [row for row in told["reliability"] if row["lead"] == 0.0]
     assert reliability["promised"][7] == pytest.approx(0.7) and reliability["happened"][7] == pytest.approx(1.0)
     assert reliability["promised"][5] is None and sum(reliability["share"]) == pytest.approx(1.0)
