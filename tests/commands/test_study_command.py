@@ -33,7 +33,7 @@ HALTING = {
     "axes": {},
     "seeds": "0-1",
 }
-BUILT_IN = ["ablation", "filters", "leak", "literal", "mismatch", "recommended", "tiny"]
+BUILT_IN = ["ablation", "filters", "forecast", "leak", "literal", "mismatch", "recommended", "tiny"]
 WORDS = ["study", "mine", "--config-dir", "my", "--folder", "done", "--workers", "1", "--no-pictures"]
 
 
