@@ -126,7 +126,8 @@ def test_a_file_that_cannot_be_loaded_is_one_line_too(text, message, written):
 def test_a_name_that_is_none_brings_those_that_are(name):
     with pytest.raises(
         ConfigurationError,
-        match=r"^there is no study '.*' \(there are: ablation, filters, forecast, leak, literal, mismatch, recommended, tiny\)$",
+        match=r"^there is no study '.*' \(there are: ablation, filters, forecast, leak, literal, mismatch, "
+        r"recommended, tiny\)$",
     ):
         load_study(name)
 
