@@ -1,8 +1,10 @@
 """Forecasts of runs: their files, and that the run itself does not change."""
 
 import json
+import re
 import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import geopandas
 import netCDF4
@@ -16,6 +18,7 @@ from dafw import ConfigurationError, ForecastPlan, RunError, SolverError, Study
 from dafw.commands import main
 from dafw.core.forecasts.forecast_file import ForecastFile
 from dafw.core.geography import to_degrees
+from dafw.core.options import describe
 from dafw.plugins.filters.etkf import ETKF
 from dafw.plugins.models.dispersion.model import AdvectionDiffusion
 from dafw.plugins.models.linear_advection import LinearAdvection
@@ -285,3 +288,41 @@ def test_what_holds_no_forecasts_is_refused(tmp_path):
     (tmp_path / "forecast.nc").write_text("no netCDF")
     with pytest.raises(RunError, match="cannot be read as netCDF"):
         dafw.open_forecasts(tmp_path)
+
+
+PAGE = (Path(__file__).resolve().parents[2] / "docs" / "forecasts.md").read_text(encoding="utf-8")
+SITE = ("node_", "mesh2d", "obstacle", "landmark")
+"""How the names of mesh and site begin; docs/run-file.md has them."""
+
+
+def names_on_the_page(begin, end):
+    table = PAGE.split(begin)[1].split(end)[0]
+    cells = [line.split("|")[1] for line in table.splitlines() if line.startswith("| `")]
+    return {name for cell in cells for name in re.findall("`([^`]+)`", cell)}
+
+
+def test_the_page_has_every_name_of_the_file(folder):
+    on_page = names_on_the_page("## What a run leaves", "A time is missing")
+    with dafw.open_forecasts(folder) as file:
+        found = {str(name) for name in file.variables if not str(name).startswith(SITE)}
+    own = {re.sub("^(area|building)_(?!name|arrival_time_members)|_(truth|free|released)$", "", name) for name in found}
+    own = {re.sub("_(truth|free|released)$", "", name).replace("concentration_", "<variable>_") for name in own}
+    shorthand = {name for name in on_page if "..." in name}
+    assert shorthand == {"area_...", "building_...", "..._truth", "..._free", "..._released"}
+    assert own - {"concentration"} == on_page - shorthand
+
+
+def test_the_page_has_every_option_with_its_default():
+    section = PAGE.split("## Options")[1].split("\n## ")[0]
+    rows = [line.strip("|").split("|") for line in section.splitlines() if line.startswith("| `")]
+    said = {cells[0].strip(" `"): cells[1].strip() for cells in rows}
+    defaults = {f"forecast.{one.name}": one.default for one in describe(ForecastPlan)}
+    assert set(said) == set(defaults)
+    for name, default in defaults.items():
+        if isinstance(default, list):
+            told = {", ".join(f"{number:g}" for number in default)}
+        elif default is None or default == {}:
+            told = {"none", "null"}
+        else:
+            told = {str(default).lower().removesuffix(".0")}
+        assert said[name] in told, name
