@@ -56,7 +56,7 @@ def plot_reliability(told: Mapping[str, Any], name: str) -> Figure:
     """Draw promised probability against what happened: at the nodes by lead time, and of the areas.
 
     One row for each threshold. The area of a point goes with the root of the share of the site that had such a promise.
-    Bars are 95 % intervals as if all forecasts of areas were independent, numbers are their counts.
+    Bars are 95 % intervals as if all forecasts of areas were independent; their counts stand above.
     """
     limits = sorted({row["threshold"] for row in told["reliability"]})
     areas = {row["threshold"]: row for row in told.get("areas", [])}
@@ -111,17 +111,9 @@ def _draw_areas(axes: Any, row: Mapping[str, Any]) -> None:
     ends = np.array([row["happened_interval"][number] for number in known], dtype=float).reshape(-1, 2)
     bars = np.clip(np.abs(ends.T - happened), 0.0, None)
     axes.errorbar(promised, happened, yerr=bars, fmt="o", color=BELIEF_COLOUR, capsize=2.5, gid="areas")
-    for x, y, number in zip(promised, happened, known, strict=True):
-        offset = (-6, -14) if y > 0.5 else (6, 8)
-        axes.annotate(
-            str(row["n"][number]),
-            (x, y),
-            xytext=offset,
-            ha="right" if y > 0.5 else "left",
-            textcoords="offset points",
-            fontsize=8,
-            color=FREE_COLOUR,
-        )
+    counts = axes.secondary_xaxis("top")
+    counts.set_xticks(promised, labels=[str(row["n"][number]) for number in known], fontsize=8, color=FREE_COLOUR)
+    counts.tick_params(length=0)
 
 
 def plot_forecast(forecasts: Dataset, issue: int = -1, threshold: int = 0) -> Figure:

@@ -40,7 +40,8 @@ def test_a_reliability_diagram_shows_the_bins_that_have_forecasts():
     np.testing.assert_allclose(lines[0].get_xydata(), [[0.0, 0.01], [0.1, 0.2], [0.22, 0.1]])
     sizes = left.collections[0].get_sizes()
     assert sizes[0] > sizes[1] > sizes[2]
-    assert [text.get_text() for text in right.texts] == ["40", "3", "7"]
+    (counts,) = right.child_axes
+    assert [text.get_text() for text in counts.get_xticklabels()] == ["40", "3", "7"]
     assert "2 runs, 2 forecasts each" in figure._suptitle.get_text()
 
 
