@@ -62,6 +62,7 @@ def judged(
     on_off: float,
     degrees: float,
     power: float,
+    sensors: Sequence[str] = (),
 ) -> Judged:
     """Return what the readings of all cycles say of candidates.
 
@@ -75,8 +76,9 @@ def judged(
         on_off: mean seconds between changes of the source; infinite: it is always on.
         degrees: of freedom of Student's t distribution; infinite: normal errors.
         power: of the likelihood.
+        sensors: names of those that come first, whether they have read anything or not.
     """
-    names: dict[str, int] = {}
+    names = {name: place for place, name in enumerate(sensors)}
     sensor, number, times = [], [], [0.0]
     for cycle in cycles:
         seen = cycle.observation

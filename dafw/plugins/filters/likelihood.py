@@ -51,6 +51,9 @@ class Background:
     on_off: float | None = option(
         None, "mean seconds from one change of the source, on or off, to the next; null: it is always on", above=0.0
     )
+    sensors: list[str] = option(
+        [], "names of the sensors, in the order of the record; must be given if some begin to read later than others"
+    )
 
 
 @dataclass
@@ -106,6 +109,7 @@ class Likelihood:
             np.inf if options.on_off is None else options.on_off,
             np.inf if degrees is None else degrees,
             self.independence,
+            options.sensors,
         )
 
     def seen(self, window: Window, predicted: Array, fit: Array, weights: Array) -> dict[str, Diagnostic]:
@@ -118,12 +122,11 @@ class Likelihood:
         found = self.of_sequence(window.cycles, predicted)
         log_density = self.joined(fit)
         share = np.exp(log_density - np.logaddexp.reduce(log_density, axis=1, keepdims=True)) * weights[:, np.newaxis]
-        order = np.argsort(np.array(found.sensors))
-        background = np.tensordot(share, found.background, 2)[order]
-        expected = np.tensordot(share, found.expected, 2)[order]
+        background, expected = np.tensordot(share, found.background, 2), np.tensordot(share, found.expected, 2)
+        names = ", ".join(found.sensors)
         return {
-            "background": Diagnostic(background, ("background_sensor",), "background of every sensor, sorted by name"),
-            "expected": Diagnostic(expected, ("background_sensor",), "what every sensor was expected to read, likewise"),
+            "background": Diagnostic(background, ("with_background",), f"background of the sensors {names}"),
+            "expected": Diagnostic(expected, ("with_background",), f"what was expected of the sensors {names}"),
             "source_on": Diagnostic(np.sum(share * found.on), long_name="probability that the source is on"),
         }
 

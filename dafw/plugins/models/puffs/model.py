@@ -7,8 +7,9 @@ shorter than the time scale of the turbulence, in proportion to the age (Taylor 
 
     s^2 = s_0^2 + (spread sigma_u a)^2,    h^2 = h_0^2 + (lift sigma_w a)^2
 
-with the standard deviations sigma of the measured wind over the last ten minutes. ``spread`` is the share of the
-fluctuations that puff and anemometer do not share, ``lift`` is about 1/2 for a source on the ground.
+with the standard deviations sigma of the measured wind over the last ten minutes. ``lift`` is 1 by that theory; h = 1.0
+sigma_w a lies between Briggs' classes A and B of a sunny day (1973; h = 0.20 and 0.12 times the distance). ``spread`` is
+less than 1: it is the share of the sideways fluctuations that puff and anemometer do not have in common.
 
 The equation is linear in the rate, and the puffs of every place are carried by the same wind. So a step of a member costs
 microseconds, and a filter may run any number of them again.
@@ -58,11 +59,14 @@ PRIORS: Mapping[str, Mapping[str, Any]] = {
     "first_width": {"name": "lognormal", "mean": 0.6, "sd": 0.5},
     "first_height": {"name": "lognormal", "mean": 0.6, "sd": 0.5},
     "spread": {"name": "lognormal", "mean": 0.3, "sd": 0.5},
-    "lift": {"name": "lognormal", "mean": 0.5, "sd": 0.3},
+    "lift": {"name": "lognormal", "mean": 1.0, "sd": 0.3},
 }
 GAS_CONSTANT = 8.314462618
 """J mol^-1 K^-1."""
-EARLIEST = 1e-6
+SMALLEST = 1e-6
+"""Least value of a number that must be positive: a uniform prior may begin at 0."""
+SHORTEST, LENGTHENING = 0.25, 0.06
+"""Interval of ages of a fresh puff in s, and by how much intervals grow in a second of age."""
 
 
 @dataclass
@@ -164,7 +168,7 @@ class Puffs(Model):
         streams = (rng[member] for member in range(n_members))
         drawn = [[prior.draw(stream) for prior in self._priors.values()] for stream in streams]
         numbers = np.array(drawn).reshape(n_members, len(UNKNOWN))
-        floor = [EARLIEST if kind is POSITIVE else -np.inf for kind, _ in UNKNOWN.values()]
+        floor = [SMALLEST if kind is POSITIVE else -np.inf for kind, _ in UNKNOWN.values()]
         return np.hstack([np.zeros((n_members, len(self._lines))), np.maximum(numbers, floor)])
 
     def log_first_guess(self, members: Array) -> Array:
@@ -177,7 +181,7 @@ class Puffs(Model):
     def _ages(self) -> tuple[Array, Array]:
         from dafw.plugins.models.puffs.path_means import ages_to
 
-        return ages_to(self.oldest, 0.5, 0.12)
+        return ages_to(self.oldest, SHORTEST, LENGTHENING)
 
     def _step_inputs(self, t: float) -> tuple[Array, Array]:
         """Return how far puffs were carried (k, a, 2) in m, and the turbulence (k, 2) in m/s, in the step from t."""

@@ -7,7 +7,7 @@ along moves from time a to time b by ::
 
 with the measured wind linear between its samples, so that gaps are bridged. Before the first sample the wind is the mean
 of the first minute. Spikes, more than ``SPIKE`` robust standard deviations from the median of their 15 neighbours, are
-left out. The turbulence at time t is the standard deviation of the samples of the last ten minutes; during the first
+left out; a record of fewer samples has none. The turbulence at time t is the standard deviation of the samples of the last ten minutes; during the first
 minute, that of the first minute.
 """
 
@@ -91,8 +91,10 @@ def are_spikes(wind: Array) -> NDArray[np.bool_]:
     """Return which samples (S,) of a wind (S, 3) in the order of time are far from the median of their neighbours."""
     from scipy.ndimage import median_filter
 
-    off = np.abs(wind - median_filter(wind, (NEIGHBOURS, 1), mode="nearest"))
-    usual = 1.4826 * median_filter(off, (10 * NEIGHBOURS + 1, 1), mode="nearest")
+    if len(wind) < NEIGHBOURS:
+        return np.zeros(len(wind), dtype=np.bool_)
+    off = np.abs(wind - median_filter(wind, (NEIGHBOURS, 1), mode="reflect"))
+    usual = 1.4826 * median_filter(off, (10 * NEIGHBOURS + 1, 1), mode="reflect")
     return np.asarray((off > SPIKE * usual + FLOOR).any(axis=1))
 
 
