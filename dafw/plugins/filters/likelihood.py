@@ -125,8 +125,8 @@ class Likelihood:
         background, expected = np.tensordot(share, found.background, 2), np.tensordot(share, found.expected, 2)
         names = ", ".join(found.sensors)
         return {
-            "background": Diagnostic(background, ("with_background",), f"background of the sensors {names}"),
-            "expected": Diagnostic(expected, ("with_background",), f"what was expected of the sensors {names}"),
+            "background": Diagnostic(background, ("with_background",), long_name=f"background of the sensors {names}"),
+            "expected": Diagnostic(expected, ("with_background",), long_name=f"what was expected of the sensors {names}"),
             "source_on": Diagnostic(np.sum(share * found.on), long_name="probability that the source is on"),
         }
 

@@ -63,6 +63,8 @@ PRIORS: Mapping[str, Mapping[str, Any]] = {
 }
 GAS_CONSTANT = 8.314462618
 """J mol^-1 K^-1."""
+SIDES = ("from", "to")
+"""Landmarks of a path NAME are its ends, ``NAME from`` and ``NAME to``."""
 SMALLEST = 1e-6
 """Least value of a number that must be positive: a uniform prior may begin at 0."""
 SHORTEST, LENGTHENING = 0.25, 0.06
@@ -137,7 +139,10 @@ class Puffs(Model):
         )
         corners = np.array([[low_x, low_y], [high_x, high_y], *first, *last])
         bounds = (*corners.min(axis=0).tolist(), *corners.max(axis=0).tolist())
-        self.domain = Domain((bounds[0], bounds[1], bounds[2], bounds[3]))
+        marks = {f"{name} {side}": (x, y) for name, line in ends.items() for side, (x, y) in zip(SIDES, line.tolist())}
+        if {"release_x", "release_y"} <= set(self.truth):
+            marks["release"] = (self.truth["release_x"], self.truth["release_y"])
+        self.domain = Domain((bounds[0], bounds[1], bounds[2], bounds[3]), landmarks=marks)
 
     def share_with(self, shared: Shared) -> None:
         """Read the wind once for all models of a run."""

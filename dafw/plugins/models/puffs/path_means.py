@@ -69,6 +69,8 @@ def path_means(
     """
     n_members, n_moments, n_ages, n_lines = leaks.shape[0], carried.shape[0], ages.size, lines.shape[0]
     means = np.zeros((n_members, n_lines))
+    ends = np.vstack((lines[:, :2], lines[:, :2] + lines[:, 2:4] * lines[:, 4:]))
+    west, east, south, north = ends[:, 0].min(), ends[:, 0].max(), ends[:, 1].min(), ends[:, 1].max()
     for member in range(n_members):
         turn, speed, wide, high, spread, lift = shapes[member]
         cos, sin = np.cos(turn) * speed, np.sin(turn) * speed
@@ -80,13 +82,16 @@ def path_means(
                 dx, dy = carried[moment, number]
                 x = leaks[member, 0] + cos * dx - sin * dy
                 y = leaks[member, 1] + sin * dx + cos * dy
+                reach = FAR * s
+                if x < west - reach or x > east + reach or y < south - reach or y > north + reach:
+                    continue
                 for line in range(n_lines):
                     x_off, y_off = x - lines[line, 0], y - lines[line, 1]
                     across = (lines[line, 2] * y_off - lines[line, 3] * x_off) / s
                     if abs(across) > FAR:
                         continue
                     along, length = lines[line, 2] * x_off + lines[line, 3] * y_off, lines[line, 4]
-                    if along < -FAR * s or along > length + FAR * s:
+                    if along < -reach or along > length + reach:
                         continue
                     part = 0.5 * (erf((length - along) / (s * sqrt(2.0))) - erf(-along / (s * sqrt(2.0))))
                     upright = exp(-0.5 * (heights[line] / h) ** 2) / (pi * h * s)
