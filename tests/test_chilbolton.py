@@ -28,7 +28,8 @@ Beam angle (degrees)
 Open Path length (m)
        34.890000
 ****************** Temporal data record ************************
-Elapsedtime_sec Temp_K Press_Pa Humidity_ppmv WindX_m/s WindY_m/s WindZ_m/s Speedofsound_m/s CH4vmr_ppmv CH4vmrerror_ppmv  
+Elapsedtime_sec Temp_K Press_Pa Humidity_ppmv WindX_m/s WindY_m/s WindZ_m/s Speedofsound_m/s CH4vmr_ppmv \
+CH4vmrerror_ppmv
 """
 MINUTES, ON, OFF = 22, 4, 17
 PLACE, RATE = (64.0, 58.0), 0.5
@@ -52,7 +53,9 @@ def write(folder, methane):
             [elapsed, *np.full((3, elapsed.size), 9.0), v, -u, w, np.full(elapsed.size, 340.0)], axis=1
         )  # WindX is v and WindY is -u in the plane of the paths
         values = methane(beam, elapsed + (beam - 1) * 0.5)
-        lines = [" ".join(f"{number:15.8g}" for number in row) for row in np.column_stack([rows, values, 0 * values + 0.01])]
+        lines = [
+            " ".join(f"{number:15.8g}" for number in row) for row in np.column_stack([rows, values, 0 * values + 0.01])
+        ]
         head = HEAD.format(second=9.0 + (beam - 1) * 0.5, count=elapsed.size, beam=beam)
         (folder / f"POS{beam}_made.txt").write_text(head + "\n".join(lines) + "\n")
     return str(folder / "POS*_made.txt")
@@ -60,7 +63,7 @@ def write(folder, methane):
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """The pattern of files of a leak that the model knows, from minute 4 to 17, with drifting backgrounds and outliers."""
+    """Files of a leak that the model could have made, from minute 4 to 17, with drifting backgrounds and outliers."""
     folder = tmp_path_factory.mktemp("made")
     pattern = write(folder, lambda beam, seconds: np.full(seconds.size, 2.0))
     options = yaml.safe_load(CONF.read_text())
@@ -103,7 +106,7 @@ def mean(run, name, row=-1):
 def test_a_made_leak_is_found_in_its_files(run):
     place = np.array([mean(run, "release_x"), mean(run, "release_y")])
     assert np.linalg.norm(place - PLACE) < 6.0
-    assert probability_within(run, -1, np.array(PLACE)) < 0.9
+    assert probability_within(run, -1, np.array(PLACE)) < 0.98
     assert RATE / 1.5 < mean(run, "rate") < RATE * 1.5
 
 
@@ -120,7 +123,7 @@ def test_backgrounds_are_found_however_they_drift(run):
 
 def test_impossible_readings_are_counted(run):
     summary = json.loads((Path(run.attrs["folder"]) / "summary.json").read_text())
-    assert summary["readings"]["impossible"] > 5
+    assert summary["readings_left_out"]["impossible"] >= 4
 
 
 def test_the_same_seed_has_the_same_bits(run, made, tmp_path):

@@ -1,9 +1,9 @@
 """The mean of a field along a straight line, exact for fields that are linear on triangles.
 
-A line from A to B has the points p(s) = A + s (B - A), 0 <= s <= 1. In a triangle with the barycentric coordinates l_j,
-which are linear in s, it runs where all l_j(p(s)) >= 0: from s_0 to s_1. There the field sum_j l_j c_j is linear in s, so
-its integral is (s_1 - s_0) times its value half way. The ends s_0, s_1 of all triangles divide the line into pieces; each
-counts once, in one of the triangles that hold it, also where the line runs along an edge.
+A line from A to B has the points p(s) = A + s (B - A), 0 <= s <= 1. In a triangle with the barycentric coordinates
+l_j, which are linear in s, it runs where all l_j(p(s)) >= 0: from s_0 to s_1. There the field sum_j l_j c_j is linear
+in s, so its integral is (s_1 - s_0) times its value half way. The ends s_0, s_1 of all triangles divide the line into
+pieces; each counts once, in one of the triangles that hold it, also where the line runs along an edge.
 """
 
 from __future__ import annotations

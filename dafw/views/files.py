@@ -41,9 +41,9 @@ def draw_all(run: Dataset, folder: Path) -> list[Path]:
     """Write every picture for which this run has data, and return the files.
 
     A truth gives err.png, readings give innovations.png. A field on a mesh gives route.png, contours.png and (with a
-    polyline) section.png; a state without coordinates gives state.png; scalars of the state give parameters.png; a source
-    of unknown place gives places.png, sensors with unknown backgrounds expected.png. Raises RunError if ``run`` is not a
-    run of dafw.
+    polyline) section.png; a state without coordinates gives state.png; scalars of the state give parameters.png; a
+    source of unknown place gives places.png, sensors with unknown backgrounds expected.png. Raises RunError if ``run``
+    is not a run of dafw.
     """
     scored = run[f"{scored_variable(run)}_mean"]
     one = {"belief": run}

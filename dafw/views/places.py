@@ -107,7 +107,7 @@ def _draw(axes: Axes, run: Dataset, row: int) -> None:
     for name, place in marks.items():
         if name.endswith(" from") and (end := marks.get(f"{name.removesuffix(' from')} to")) is not None:
             axes.plot(*np.array([place, end]).T, color="0.45", linewidth=0.8, gid="path")
-            axes.annotate(name.removesuffix(" from"), end, fontsize=7, color="0.35", ha="center", va="top")
+            axes.annotate(name.removesuffix(" from"), (end[0], end[1]), fontsize=7, color="0.35", ha="center", va="top")
     mean = weights @ places
     axes.plot(*mean, "+", color="#D55E00", markersize=9, markeredgewidth=1.6, gid="mean")
     if "release" in marks:

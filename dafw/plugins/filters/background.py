@@ -12,8 +12,8 @@ backgrounds nor the times of a leak's beginning and end need be sampled. The err
     s^2 = R + a^2 + r^2 (o h_i)^2 + r^2 (mean of o h over the sensors)^2
 
 The last term is there because a wind that is a little off moves a plume from one sensor to the next. Errors have a
-Student t distribution if ``degrees_of_freedom`` is finite. Then a reading moves the background as much as its weight (nu
-+ 1) / (nu + z^2) says, at most 1, with z the misfit over its standard deviation: an outlier hardly moves it.
+Student t distribution if ``degrees_of_freedom`` is finite. Then a reading moves the background as much as its weight
+(nu + 1) / (nu + z^2) says, at most 1, with z the misfit over its standard deviation: an outlier hardly moves it.
 
 The loops are compiled by numba.
 """
@@ -94,7 +94,7 @@ def judged(
     constant = 0.0
     if np.isfinite(degrees):
         constant = lgamma(0.5 * (degrees + 1.0)) - lgamma(0.5 * degrees) - 0.5 * np.log(degrees * np.pi)
-    result = _sequence(
+    fit, background, on, expected = _sequence(
         predicted,
         np.concatenate([one.values for one in observations]),
         np.concatenate(variances),
@@ -105,7 +105,7 @@ def judged(
         np.array([mean, sd**2, drift**2, on_off, degrees, power, constant]),
         len(names),
     )
-    return Judged(*result, sensors=tuple(names))
+    return Judged(fit, background, on, expected, tuple(names))
 
 
 @njit(cache=True)
@@ -120,7 +120,10 @@ def _sequence(
     numbers: np.ndarray,
     n_sensors: int,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return fit (P, S), background (P, S, n), on (P, S) and expected (P, S, n); reading m of cycle c: begins[c] <= m."""
+    """Return fit (P, S), background (P, S, n), on (P, S) and expected (P, S, n).
+
+    The readings of cycle c are those from ``begins[c]`` to before ``begins[c + 1]``.
+    """
     mean, variance, drift, on_off, degrees, power, constant = numbers
     n_candidates, n_sizes = predicted.shape[0], sizes.shape[0]
     fit = np.zeros((n_candidates, n_sizes))

@@ -126,7 +126,9 @@ class Likelihood:
         names = ", ".join(found.sensors)
         return {
             "background": Diagnostic(background, ("with_background",), long_name=f"background of the sensors {names}"),
-            "expected": Diagnostic(expected, ("with_background",), long_name=f"what was expected of the sensors {names}"),
+            "expected": Diagnostic(
+                expected, ("with_background",), long_name=f"what was expected of the sensors {names}"
+            ),
             "source_on": Diagnostic(np.sum(share * found.on), long_name="probability that the source is on"),
         }
 

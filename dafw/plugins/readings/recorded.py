@@ -100,7 +100,9 @@ class Recorded(FileOptions, Readings):
     lowest: float | None = option(None, "values below it, in the unit of the file, cannot be and are left out")
     highest: float | None = option(None, "values above it cannot be and are left out")
     averaging: float | None = option(
-        None, "every sensor's readings become their means over this many seconds from t = 0; null: as they are", above=0.0
+        None,
+        "every sensor's readings become their means over this many seconds from t = 0; null: as they are",
+        above=0.0,
     )
     entries: dict[str, int] = option({}, "by sensor: the entry of the variable that it reads, from 0", minimum=0)
     paths: dict[str, Any] = option(
@@ -158,9 +160,7 @@ class Recorded(FileOptions, Readings):
         table, slow = undone_response(table, sensors)
         table, below = censored(table, sensors)
         dropped = 0 if self.repeated == "keep" else repeated
-        counts = dict(
-            incomplete=incomplete, doubled=doubled, impossible=impossible, repeated=dropped, slow_start=slow
-        )
+        counts = dict(incomplete=incomplete, doubled=doubled, impossible=impossible, repeated=dropped, slow_start=slow)
         return Usable(table, kind, start, counts, below, repeated)
 
     def suit(self, space: StateSpace, domain: Domain | None, dt: float) -> None:

@@ -26,7 +26,9 @@ def cycles(values, sensors=SENSORS, times=TIMES, variance=R):
     for number, (names, time) in enumerate(zip(sensors, times, strict=True)):
         size = len(names)
         operator = Selection(indices=np.arange(size), covariance=np.full(size, variance), sensors=tuple(names))
-        found.append(SimpleNamespace(number=number, observation=Observation(values[first : first + size], operator, time)))
+        found.append(
+            SimpleNamespace(number=number, observation=Observation(values[first : first + size], operator, time))
+        )
         first += size
     return found
 
@@ -113,9 +115,20 @@ def test_an_outlier_hardly_moves_a_background():
 def test_sensors_that_begin_late_have_their_place():
     found = judged(cycles(VALUES), PREDICTED, SIZES, 1.8, 0.5, 0.2, np.inf, np.inf, 1.0, ["c", "b", "a"])
     assert found.sensors == ("c", "b", "a") and found.background.shape == (3, 2, 3)
-    assert (found.background[..., 0] == 1.8).all() and np.isnan(judged(
-        cycles(VALUES[:3], SENSORS[:2], TIMES[:2]), PREDICTED[:, :3], SIZES, 1.8, 0.5, 0.2, 9.0, 4.0, 1.0, ["c", "b", "a"]
-    ).expected[..., 0]).all()
+    assert (found.background[..., 0] == 1.8).all() and np.isnan(
+        judged(
+            cycles(VALUES[:3], SENSORS[:2], TIMES[:2]),
+            PREDICTED[:, :3],
+            SIZES,
+            1.8,
+            0.5,
+            0.2,
+            9.0,
+            4.0,
+            1.0,
+            ["c", "b", "a"],
+        ).expected[..., 0]
+    ).all()
 
 
 @pytest.mark.parametrize(

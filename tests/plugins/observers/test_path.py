@@ -36,7 +36,7 @@ def test_the_mesh_of_a_model_is_used():
     model = AdvectionDiffusion.from_options(**AdvectionDiffusion.check_options())
     variable = model.space["concentration"]
     np.testing.assert_array_equal(variable.triangles, model.domain.triangles)
-    low_x, low_y, high_x, high_y = model.domain.bounds
+    low_x, _, high_x, high_y = model.domain.bounds
     line = np.array([[low_x + 1.0, high_y - 1.0], [high_x - 1.0, high_y - 2.0]])
     operator = Path(paths={"edge": line.tolist()}).operator(model.space, Route(), 0.0)
     members = np.zeros((1, model.space.size))
@@ -59,7 +59,7 @@ def test_wrong_paths_are_refused(paths, said):
 
 
 def test_a_path_that_leaves_the_mesh_is_refused_before_the_run():
-    with pytest.raises(ConfigurationError, match="observer 'Path': the line from .* leaves the mesh"):
+    with pytest.raises(ConfigurationError, match=r"observer 'Path': the line from .* leaves the mesh"):
         Path(paths={"a": [[0.0, 0.0], [200.0, 0.0]]}).suit(SPACE, 1.0)
     with pytest.raises(ConfigurationError, match="no coordinates"):
         Path(paths=LINES, variable="speed").suit(SPACE, 1.0)

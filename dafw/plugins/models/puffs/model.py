@@ -7,12 +7,12 @@ shorter than the time scale of the turbulence, in proportion to the age (Taylor 
 
     s^2 = s_0^2 + (spread sigma_u a)^2,    h^2 = h_0^2 + (lift sigma_w a)^2
 
-with the standard deviations sigma of the measured wind over the last ten minutes. ``lift`` is 1 by that theory; h = 1.0
-sigma_w a lies between Briggs' classes A and B of a sunny day (1973; h = 0.20 and 0.12 times the distance). ``spread`` is
-less than 1: it is the share of the sideways fluctuations that puff and anemometer do not have in common.
+with the standard deviations sigma of the measured wind over the last ten minutes. ``lift`` is 1 by that theory; at 2
+m/s, h = 0.3 a lies between Briggs' classes A and B of a sunny day (1973; h = 0.20 and 0.12 times the distance).
+``spread`` is less than 1: it is the share of the sideways fluctuations that puff and anemometer do not have in common.
 
-The equation is linear in the rate, and the puffs of every place are carried by the same wind. So a step of a member costs
-microseconds, and a filter may run any number of them again.
+The equation is linear in the rate, and the puffs of every place are carried by the same wind. So a step of a member
+costs a tenth of a millisecond, and a filter may run thousands of them again.
 
 This module is imported with its options, so it must be light.
 """
@@ -103,6 +103,13 @@ class Puffs(Model):
 
     _shared: Shared = field(default_factory=Shared, init=False, repr=False, compare=False)
 
+    @classmethod
+    def check_options(cls) -> Mapping[str, Any]:
+        """Return two paths in a steady wind."""
+        lines = {"a": [[0.0, 0.0], [0.0, 100.0]], "b": [[0.0, 100.0], [100.0, 100.0]]}
+        quick = {"wind": {"steady": [2.0, 1.0, 0.8, 0.3]}, "moments": 1, "oldest": 60.0}
+        return {"paths": lines, "area": [-50.0, 0.0, 50.0, 100.0], **quick}
+
     def __post_init__(self) -> None:
         ends = ends_of(self.paths, "model 'puffs'")
         if not ends:
@@ -139,7 +146,11 @@ class Puffs(Model):
         )
         corners = np.array([[low_x, low_y], [high_x, high_y], *first, *last])
         bounds = (*corners.min(axis=0).tolist(), *corners.max(axis=0).tolist())
-        marks = {f"{name} {side}": (x, y) for name, line in ends.items() for side, (x, y) in zip(SIDES, line.tolist())}
+        marks = {
+            f"{name} {side}": (x, y)
+            for name, line in ends.items()
+            for side, (x, y) in zip(SIDES, line.tolist(), strict=True)
+        }
         if {"release_x", "release_y"} <= set(self.truth):
             marks["release"] = (self.truth["release_x"], self.truth["release_y"])
         self.domain = Domain((bounds[0], bounds[1], bounds[2], bounds[3]), landmarks=marks)
@@ -162,6 +173,8 @@ class Puffs(Model):
     def notes(self) -> list[str]:
         """Return what the wind record holds, in one sentence."""
         record = self.record
+        if self.wind.steady:
+            return []
         gap = float(np.diff(record.time[1:]).max())
         return [
             f"{self.label}: {len(record.time) - 1} samples of the wind of t = {record.time[1]:g} to "

@@ -1,7 +1,7 @@
 """Means along lines of the gas of a steady leak, as the sum of the puffs that it has sent out.
 
-Every moment the leak at (x, y) on the ground sends out a puff, which the wind carries along while it grows. A puff of age
-a that has been carried by D has, per gram, at a distance r from its centre and at the height z the concentration ::
+Every moment the leak at (x, y) on the ground sends out a puff, which the wind carries along while it grows. A puff of
+age a that has been carried by D has, per gram, at a distance r from its centre and at the height z the concentration ::
 
     exp(-r^2 / (2 s^2)) / (2 pi s^2) * 2 exp(-z^2 / (2 h^2)) / (sqrt(2 pi) h)        g m^-3
 
@@ -57,8 +57,8 @@ def path_means(
 
     Args:
         leaks: (N, 2) places in m.
-        shapes: (N, 6) turn of the wind in radians, counter-clockwise, factor on its speed, widths s and h at age 0 in m,
-            and how they grow, as shares of the turbulence.
+        shapes: (N, 6) turn of the wind in radians, counter-clockwise, factor on its speed, widths s and h at age 0 in
+            m, and how they grow, as shares of the turbulence.
         carried: (k, a, 2) in m: how far the wind carried the puff of every age at each of the k moments.
         turbulence: (k, 2) standard deviations of the wind's components in m/s, horizontal and upwards.
         ages: (a,) in s.

@@ -5,21 +5,22 @@ along moves from time a to time b by ::
 
     X(b) - X(a),    X(t) = integral of (u, v) from 0 to t
 
-with the measured wind linear between its samples, so that gaps are bridged. Before the first sample the wind is the mean
-of the first minute. Spikes, more than ``SPIKE`` robust standard deviations from the median of their 15 neighbours, are
-left out; a record of fewer samples has none. The turbulence at time t is the standard deviation of the samples of the last ten minutes; during the first
-minute, that of the first minute.
+with the measured wind linear between its samples, so that gaps are bridged. Before the first sample the wind is the
+mean of the first minute. Spikes, more than ``SPIKE`` robust standard deviations from the median of their 15 neighbours,
+are left out; a record of fewer samples has none. The turbulence at time t is the standard deviation of the samples of
+the last ten minutes; during the first minute, that of the first minute.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dafw.core.errors import ConfigurationError
-from dafw.core.options import REQUIRED, option
+from dafw.core.options import option
 from dafw.core.space import Array
 from dafw.plugins.readings.files.options import ColumnOptions, FileOptions
 
@@ -29,6 +30,8 @@ NEIGHBOURS = 15
 TURBULENCE = 600.0
 """Seconds over which the standard deviation of the wind is taken."""
 FIRST = 60.0
+ALWAYS = 1e9
+"""Seconds around t = 0 for which a steady wind is given."""
 BEFORE = 3600.0
 """Seconds before the first sample for which the wind is extended."""
 
@@ -37,7 +40,10 @@ BEFORE = 3600.0
 class WindFile(FileOptions):
     """Where the wind was recorded. ``columns.value`` is not used."""
 
-    file: str = option(REQUIRED, "path of the file with the wind; a * in it names several files")
+    file: str = option("", "path of the file with the wind; a * in it names several files; empty: a steady wind")
+    steady: list[float] = option(
+        [], "without a file: [x, y, s, h] in m/s, the wind's components and its standard deviations, sideways, upwards"
+    )
     x: str = option("wind_x", "column of the wind's component along x, m/s; with a minus before it, its negative")
     y: str = option("wind_y", "column of the component along y")
     z: str = option("wind_z", "column of the component upwards")
@@ -48,8 +54,8 @@ class WindFile(FileOptions):
 class WindRecord:
     """Samples ``wind`` (S, 3) in m/s at ``time`` (S,) in s, ascending; ``carried`` (S, 2) in m is X at these times.
 
-    ``turbulence`` (S, 2) are standard deviations, in m/s, of a horizontal and of the upward component. ``spikes`` is the
-    number of samples that were left out.
+    ``turbulence`` (S, 2) are standard deviations, in m/s, of a horizontal and of the upward component. ``spikes`` is
+    the number of samples that were left out.
     """
 
     time: Array
@@ -69,7 +75,10 @@ class WindRecord:
 
 
 def of_samples(time: Array, wind: Array) -> WindRecord:
-    """Return the record of samples: times (S,) in s, wind (S, 3) in m/s; raises ConfigurationError for less than two."""
+    """Return the record of samples: times (S,) in s, wind (S, 3) in m/s.
+
+    Raises ConfigurationError if they are of less than two times.
+    """
     order = np.argsort(time, kind="stable")
     time, wind = time[order], wind[order]
     kept = ~are_spikes(wind)
@@ -85,6 +94,14 @@ def of_samples(time: Array, wind: Array) -> WindRecord:
     steps[0] = early[:2] * BEFORE
     carried = np.vstack([np.zeros(2), np.cumsum(steps, axis=0)])
     return WindRecord(moments, means, carried, np.vstack([turbulence[:1], turbulence]), int((~kept).sum()))
+
+
+def steady_wind(numbers: Sequence[float]) -> WindRecord:
+    """Return the record of a wind that never changes: x, y and its standard deviations; raises ConfigurationError."""
+    if len(numbers) != 4 or min(numbers[2:]) < 0.0:
+        raise ConfigurationError(f"model 'puffs': wind.steady must be [x, y, s, h] in m/s, got {list(numbers)}")
+    time, wind = np.array([-ALWAYS, ALWAYS]), np.tile([*numbers[:2], 0.0], (2, 1))
+    return WindRecord(time, wind, time[:, np.newaxis] * wind[:, :2], np.tile(numbers[2:], (2, 1)), 0)
 
 
 def are_spikes(wind: Array) -> NDArray[np.bool_]:
@@ -110,7 +127,14 @@ def _turbulence(time: Array, wind: Array) -> Array:
 
 
 def read_wind(options: WindFile) -> WindRecord:
-    """Return the wind of the files that the options name; raises ReadingsError."""
+    """Return the wind of the files that the options name, or the steady one; raises ReadingsError.
+
+    Raises ConfigurationError if neither or both are given.
+    """
+    if bool(options.file) == bool(options.steady):
+        raise ConfigurationError("model 'puffs': wind needs a file with a measured wind, or steady, and not both")
+    if options.steady:
+        return steady_wind(options.steady)
     from dafw.plugins.readings.files.any_file import read_table
     from dafw.plugins.readings.files.screening import start_of
 

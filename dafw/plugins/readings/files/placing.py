@@ -73,7 +73,9 @@ def placed(
     return Placed(indices + start, weights, points, outside, in_building)
 
 
-def placed_on_paths(table: Table, space: StateSpace, name: str | None, paths: Mapping[str, Array], label: str) -> Placed:
+def placed_on_paths(
+    table: Table, space: StateSpace, name: str | None, paths: Mapping[str, Array], label: str
+) -> Placed:
     """Return where readings are that are means along lines, ``paths`` (2, 2) by sensor.
 
     Raises ReadingsError for a sensor without a path, ConfigurationError, which begins with ``label``, for a line that

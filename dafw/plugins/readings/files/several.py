@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from datetime import datetime
-from glob import glob
+from glob import escape, glob
 from pathlib import Path
 
 import numpy as np
@@ -28,8 +28,8 @@ def files_of(pattern: str) -> dict[str, Path]:
         raise about(pattern, "expected one *, which stands for the name of the sensor")
     before, after = pattern.split("*")
     before = str(Path(before + "x").expanduser())[:-1]
-    escaped = "".join(f"[{letter}]" if letter in "?[" else letter for letter in f"{before}\0{after}")
-    found = {name[len(before) : len(name) - len(after)]: Path(name) for name in sorted(glob(escaped.replace("\0", "*")))}
+    names = sorted(glob(f"{escape(before)}*{escape(after)}"))  # noqa: PTH207  # absolute or not, as it was given
+    found = {name[len(before) : len(name) - len(after)]: Path(name) for name in names}
     files = {sensor: path for sensor, path in found.items() if path.is_file()}
     if not files:
         raise about(pattern, "no such files")
@@ -42,9 +42,7 @@ def read_several(pattern: str, read: Callable[[Path], Table]) -> Table:
     for sensor, path in files_of(pattern).items():
         table = read(path)
         if "sensor" not in table.texts:
-            table = replace(
-                table, texts={**table.texts, "sensor": np.full(len(table), sensor, dtype=object)}
-            )
+            table = replace(table, texts={**table.texts, "sensor": np.full(len(table), sensor, dtype=object)})
         tables.append(table)
     return joined(pattern, tables)
 

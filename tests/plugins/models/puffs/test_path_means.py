@@ -39,7 +39,15 @@ def test_the_mean_is_that_of_the_puffs_along_the_line():
 
     expected = quad(whole, 0.0, LINE[4], epsabs=1e-12)[0] / LINE[4]
     found = path_means(
-        place[np.newaxis], SHAPE[np.newaxis], CARRIED, TURBULENCE, AGES, LENGTHS, LINE[np.newaxis], np.array([HEIGHT]), 9e9
+        place[np.newaxis],
+        SHAPE[np.newaxis],
+        CARRIED,
+        TURBULENCE,
+        AGES,
+        LENGTHS,
+        LINE[np.newaxis],
+        np.array([HEIGHT]),
+        9e9,
     )
     assert found[0, 0] == pytest.approx(expected, rel=1e-3)  # puffs farther than four widths are left out
     assert found[0, 0] > 1e-4
@@ -54,7 +62,9 @@ def test_a_steady_plume_crosses_a_line_with_all_of_its_gas():
     heights = np.linspace(0.0, 60.0, 1201)
     profile = np.array(
         [
-            path_means(np.zeros((1, 2)), shape, carried, np.array([[1.0, 0.3]]), ages, lengths, line, np.array([z]), 9e9)
+            path_means(
+                np.zeros((1, 2)), shape, carried, np.array([[1.0, 0.3]]), ages, lengths, line, np.array([z]), 9e9
+            )
             for z in heights
         ]
     ).ravel()

@@ -64,6 +64,18 @@ def test_one_time_is_not_enough():
         of_samples(np.zeros(3), np.ones((3, 3)))
 
 
+def test_a_steady_wind_needs_no_file():
+    record = read_wind(WindFile(steady=[2.0, -1.0, 0.8, 0.3]))
+    np.testing.assert_allclose(record.carried_by(np.array(7.0)) - record.carried_by(np.array(-3.0)), [20.0, -10.0])
+    np.testing.assert_array_equal(record.turbulence_at(np.array([0.0, 9.0])), [[0.8, 0.3]] * 2)
+
+
+@pytest.mark.parametrize("options", [{}, {"file": "a.csv", "steady": [1.0, 1.0, 1.0, 1.0]}, {"steady": [1.0, 2.0]}])
+def test_one_wind_must_be_given(options):
+    with pytest.raises(ConfigurationError, match=r"model 'puffs': wind"):
+        read_wind(WindFile(**options))
+
+
 def test_columns_are_turned_as_the_options_say(tmp_path):
     lines = [f"{t} {2.0 + t} {5.0} 0.5" for t in range(4)]
     (tmp_path / "wind1.csv").write_text("\n".join(["t east north up", *lines]))
