@@ -111,6 +111,12 @@ fi
 export PATH="$environment/bin:$PATH" VIRTUAL_ENV="$environment"
 case ${1:-} in
     "") say "ready: sh $0 dafw run" ;;
-    test) shift && cd "$here" && ruff check && ruff format --check && mypy && exec pytest -q "$@" ;;
+    test)
+        shift
+        cd "$here"
+        ruff check
+        ruff format --check
+        mypy
+        exec pytest -q -n 2 --dist loadgroup --no-loadscope-reorder "$@" ;;
     *) exec "$@" ;;
 esac

@@ -45,6 +45,7 @@ REDUCED = {
     r"(?<=--cfg all)(.*)'seed=range.*'$": (r"\1", "what is only shown has no sweep"),
     r"^dafw run (?=.*executor\.address=)": ("dafw run --cfg job ", "no scheduler there: composed and shown"),
     r"'seed=range\((\d+,)?\d{2,}\)'": ("seed=0,1", "two seeds instead of ten and more"),
+    r"^dafw check --all$": ("dafw check enkf", "tests/authoring/test_built_in.py checks every plugin"),
     r"^dafw study tiny$": (
         "dafw study tiny cycles=5 --seeds 0-1",
         "two seeds instead of ten, five cycles instead of 40",

@@ -8,6 +8,9 @@ import dafw
 
 FOOTPRINTS = Path(__file__).parents[2] / "shared" / "data" / "west_oakland_buildings.geojson"
 
+BASIS = [f"model.wind.basis.{word}" for word in ("directions=8", "levels=1", "modes=16", "tolerance=1")]
+"""A coarse one, which is made in some seconds."""
+
 
 @pytest.mark.skipif(not FOOTPRINTS.is_file(), reason="the footprints are not part of the project (../shared/data)")
 def test_ten_cycles_among_foreign_buildings(tmp_path, monkeypatch):
@@ -20,6 +23,7 @@ def test_ten_cycles_among_foreign_buildings(tmp_path, monkeypatch):
             "section=[[150,150],[-100,150]]",
             "members=4",
             "cycles=10",
+            *BASIS,
         ]
     )
     with run:

@@ -149,9 +149,8 @@ class Likelihood:
         from scipy.special import gammaln
 
         missed = values - predicted
-        largest = np.maximum(np.abs(predicted), np.abs(values))
         absolute, relative = self.sizes.T[:, :, np.newaxis, np.newaxis]
-        of_model = absolute**2 + (relative * largest) ** 2  # (S, N, m)
+        of_model = _of_model(absolute, relative, predicted, values)  # (S, N, m)
         if covariance.ndim == 1:
             scale = np.sqrt(covariance + of_model)
             misfit = missed / scale
@@ -191,8 +190,7 @@ class Likelihood:
         """
         absolute, relative = self.sizes[np.argmax(self.joined(parts))]
         of_reading = covariance if covariance.ndim == 1 else np.diagonal(covariance)
-        largest = np.maximum(np.abs(predicted), np.abs(values))
-        return np.asarray(of_reading + absolute**2 + (relative * largest) ** 2)
+        return np.asarray(of_reading + _of_model(absolute, relative, predicted, values))
 
     def pull(self, misfit: Array) -> Array:
         """Return the weights (m,) with which least squares fit the readings, of their squared misfits over s^2 (m,).
@@ -230,3 +228,8 @@ class Likelihood:
         log_density = self.joined(parts)
         of_sizes = np.exp(log_density - np.logaddexp.reduce(log_density, axis=1, keepdims=True))
         return np.asarray((weights @ of_sizes) @ self.sizes)
+
+
+def _of_model(absolute: Array, relative: Array, predicted: Array, values: Array) -> Array:
+    """Return a^2 + (r max(|h|, |y|))^2; the arguments are broadcast against each other."""
+    return np.asarray(absolute**2 + (relative * np.maximum(np.abs(predicted), np.abs(values))) ** 2)

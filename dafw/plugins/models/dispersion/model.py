@@ -12,7 +12,7 @@ imported where it is first used.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import accumulate
@@ -273,7 +273,8 @@ class AdvectionDiffusion(Model):
         fields = [self.space.unpack(state)["concentration"] for state in states]
         self._systems.limit = max(self._systems.limit, self._transport.systems_kept(len(members)))
         # Without flux correction there may be values below zero; the filter's retraction puts that right.
-        added = carry(fields, winds, rates, diffusion, self._system, self._nodes)
+        threads = self.threads(winds)
+        added = carry(fields, winds, rates, diffusion, self._system, self._nodes, threads, self._systems.limit)
         return [
             Step(step.members, step.memory, {**step.diagnostics, **more})
             for step, more in zip(steps, added, strict=True)
@@ -297,12 +298,21 @@ class AdvectionDiffusion(Model):
         speed, direction = wind
         return self._transport.uniform_velocity(speed, direction)
 
-    def _system(self, wind: Array, diffusion: float) -> Any:
-        """Return the ``System`` of a step, which may be kept from an earlier step of this or of another member.
+    def threads(self, winds: Sequence[Array]) -> int:
+        """Return how many threads may make and use systems for winds (N, k); one, because DOLFINx is not thread-safe.
+
+        Args:
+            winds: those of several steps.
+        """
+        return 1
+
+    def _system(self, wind: Array, diffusion: float) -> Callable[[], Any]:
+        """Return a function that returns the ``System`` of a step, which may be kept from an earlier step.
 
         A whole run of ten members takes 14 % longer if only one is kept.
         """
-        return self._systems.get(np.append(wind, diffusion), lambda reuse: self.system(wind, diffusion, reuse))
+        place = self._systems.place(np.append(wind, diffusion))
+        return lambda: place.system(lambda reuse: self.system(wind, diffusion, reuse))
 
     def system(self, wind: Array, diffusion: float, reuse: System | None = None) -> System:
         """Return the system of a step in the wind of one member.

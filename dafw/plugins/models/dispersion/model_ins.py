@@ -14,7 +14,7 @@ Like model.py this module must be light.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -25,6 +25,7 @@ from dafw.core.ensemble import Diagnostic, Diagnostics, Memory
 from dafw.core.errors import ConfigurationError, SolverError, about_member
 from dafw.core.options import option
 from dafw.core.space import Array
+from dafw.core.workers import spare_cores
 from dafw.plugins.models.dispersion.mesh.partition import Partition, Undivided
 from dafw.plugins.models.dispersion.model import AdvectionDiffusion
 from dafw.plugins.models.dispersion.wind.options import WindOptions, require_one_process, require_uniform
@@ -140,11 +141,13 @@ class AdvectionDiffusionINS(AdvectionDiffusion):
         solved = self.due(speed, direction, memory)
         kept = np.zeros(len(speed), dtype=bool)
         iterations = np.zeros(len(speed), dtype=np.int64)
-        for member in np.flatnonzero(solved):
+        due = np.flatnonzero(solved).tolist()
+        self.solver.solve_ahead([(float(speed[member]), float(direction[member])) for member in due], spare_cores())
+        for member in due:
             first = np.isnan(memory["speed"][member])
             start = None if first else self._unit.local(memory["unit"][member])
             try:
-                with about_member(int(member)):
+                with about_member(member):
                     wind = self.solver.solve(speed[member], direction[member], start)
             except SolverError:
                 if self.on_unsolved == "stop" or first:
@@ -181,6 +184,19 @@ class AdvectionDiffusionINS(AdvectionDiffusion):
         # It depends neither on the diffusion nor on the time step.
         name = ("reduced advection", self.tagged_mesh, repr(self.wind))
         return self._shared.once(name, lambda: ReducedAdvection(self._transport, solver))
+
+    def threads(self, winds: Sequence[Array]) -> int:
+        """Return how many threads may make and use systems: one for each spare core, if all winds are of the basis.
+
+        Only the systems of flux-corrected transport with ``solver: direct`` are made without DOLFINx and PETSc then.
+
+        Args:
+            winds: those of several steps, (N, k) each.
+        """
+        reduced, transport = self._reduced_advection, self.transport
+        if reduced is None or (transport.scheme, transport.solver) != ("fct", "direct"):
+            return 1
+        return spare_cores() if all(reduced.holds(wind[:-1]) for step in winds for wind in step) else 1
 
     def system(self, wind: Array, diffusion: float, reuse: System | None = None) -> System:
         """Return the system of a step in the wind of one member; the arguments are as above."""

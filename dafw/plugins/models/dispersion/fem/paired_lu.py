@@ -24,14 +24,19 @@ from dafw.plugins.models.dispersion.fem.sparse_lu import Elimination, require_ac
 
 
 class PairedLU:
-    """Two factorised matrices of the pattern of an ``Elimination``."""
+    """Two factorised matrices of the pattern of an ``Elimination``.
+
+    Attributes:
+        lower: (f, 2) entries of both L below the diagonal, column by column.
+        upper: (f, 2) entries of both U above the diagonal, row by row.
+        inverse: (n, 2) one over the diagonal entries of both U.
+    """
 
     def __init__(self, elimination: Elimination):
         fill = elimination.fill
         self._elimination, self._valid = elimination, False
-        # For both matrices: the entries of L and U, column by column and row by row, and one over the diagonal of U.
-        self._lower, self._upper = np.zeros((2, fill.rows.size, 2))
-        self._inverse = np.zeros((elimination.order.size, 2))
+        self.lower, self.upper = np.zeros((2, fill.rows.size, 2))
+        self.inverse = np.zeros((elimination.order.size, 2))
 
     def factorise(self, first: np.ndarray, second: np.ndarray) -> None:
         """Factorise two matrices and try the factors.
@@ -45,25 +50,29 @@ class PairedLU:
         self._valid = False
         elimination, fill = self._elimination, self._elimination.fill
         for entries, where, found in (
-            (self._lower, fill.below, fill.below_entries),
-            (self._upper, fill.above, fill.above_entries),
-            (self._inverse, fill.diagonal, fill.diagonal_entries),
+            (self.lower, fill.below, fill.below_entries),
+            (self.upper, fill.above, fill.above_entries),
+            (self.inverse, fill.diagonal, fill.diagonal_entries),
         ):
             spread(first, second, found, where, entries)
-        if not factorise(fill.starts, fill.rows, self._lower, self._upper, self._inverse):
+        if not factorise(fill.starts, fill.rows, self.lower, self.upper, self.inverse):
             raise SolverError("sparse LU: a matrix is singular or cannot do without pivoting: a pivot is zero")
         right = elimination.signs[elimination.places]
         for values, solution in zip((first, second), self._solved(right, right), strict=True):
             require_accurate(elimination.ordered(values), solution[elimination.order], elimination.signs)
         self._valid = True
 
+    def require_valid(self) -> None:
+        """Raise SolverError if nothing is factorised."""
+        if not self._valid:
+            raise SolverError("sparse LU: there is no factorisation, or the last one failed")
+
     def solve(self, first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the solutions (n,) with both matrices, each for its own right-hand side (n,).
 
         Raises SolverError if nothing is factorised, or if a solution is not finite.
         """
-        if not self._valid:
-            raise SolverError("sparse LU: there is no factorisation, or the last one failed")
+        self.require_valid()
         solutions = self._solved(first, second)
         if not math.isfinite(solutions[0].sum() + solutions[1].sum()):
             raise SolverError("sparse LU: a solution is not finite")
@@ -72,12 +81,12 @@ class PairedLU:
     def _solved(self, first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         fill, places = self._elimination.fill, self._elimination.places
         found: tuple[np.ndarray, np.ndarray] = solve(
-            fill.starts, fill.rows, self._lower, self._upper, self._inverse, places, first, second
+            fill.starts, fill.rows, self.lower, self.upper, self.inverse, places, first, second
         )
         return found
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def spread(first: np.ndarray, second: np.ndarray, found: np.ndarray, where: np.ndarray, entries: np.ndarray) -> None:
     """Overwrite ``entries`` (f, 2) with the values ``found`` (b,) of two matrices (z,), ``where`` (b,) it says."""
     entries[:] = 0.0
@@ -85,7 +94,7 @@ def spread(first: np.ndarray, second: np.ndarray, found: np.ndarray, where: np.n
         entries[where[k], 0], entries[where[k], 1] = first[found[k]], second[found[k]]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def factorise(starts: np.ndarray, rows: np.ndarray, lower: np.ndarray, upper: np.ndarray, diagonal: np.ndarray) -> bool:
     """Replace the entries of two matrices by those of their factors; return False if a pivot is zero.
 
@@ -135,7 +144,7 @@ def factorise(starts: np.ndarray, rows: np.ndarray, lower: np.ndarray, upper: np
     return True
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def solve(
     starts: np.ndarray,
     rows: np.ndarray,

@@ -9,6 +9,8 @@ left on disk for the next basis.
 from __future__ import annotations
 
 from collections import OrderedDict
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -16,6 +18,7 @@ import numpy as np
 from dafw.core.errors import ContractError
 from dafw.plugins.models.dispersion.mesh.tagged import TaggedMesh
 from dafw.plugins.models.dispersion.reduced_wind.accelerated import AcceleratedWindSolver
+from dafw.plugins.models.dispersion.reduced_wind.flow import ReducedWind
 from dafw.plugins.models.dispersion.reduced_wind.store import StoredBasis
 from dafw.plugins.models.dispersion.wind.options import WindOptions
 from dafw.plugins.models.dispersion.wind.solution import WindSolution
@@ -38,15 +41,27 @@ class ReducedWindSolver(AcceleratedWindSolver):
         """Prepare the solver; the arguments are those of ``AcceleratedWindSolver``."""
         super().__init__(tagged_mesh, options, stored)
         self._full: OrderedDict[bytes, WindSolution] = OrderedDict()
+        self._ahead: dict[tuple[float, float], ReducedWind] = {}
 
     @property
     def unknowns(self) -> int:
         """The length n + 1 of the vector that travels with a member."""
         return self.flow.basis.velocities.shape[1] + 1
 
+    def solve_ahead(self, winds: Sequence[tuple[float, float]], threads: int) -> None:
+        """Solve winds in the reduced basis, several at a time; ``solve`` finds those of the last call."""
+        self._ahead = {}
+        if min(threads, len(winds)) > 1:
+            with ThreadPoolExecutor(min(threads, len(winds))) as pool:
+                self._ahead = dict(zip(winds, pool.map(self._reduced, winds), strict=True))
+
+    def _reduced(self, wind: tuple[float, float]) -> ReducedWind:
+        intensity, direction = wind
+        with np.errstate(over="ignore", invalid="ignore"):  # each thread has its own setting
+            return self.flow.solve(self.reynolds(intensity), direction, self.options.basis.tolerance)
+
     def _solve(self, intensity: float, direction: float, start: np.ndarray | None) -> WindSolution:
-        reynolds = self.reynolds(intensity)
-        reduced = self.flow.solve(reynolds, direction, self.options.basis.tolerance)
+        reduced = self._ahead.get((intensity, direction)) or self._reduced((intensity, direction))
         trusted = reduced.error <= self.options.basis.tolerance
         coefficients = reduced.coefficients
         if not trusted:  # those of a failed solve may not be finite; the first two still say the direction

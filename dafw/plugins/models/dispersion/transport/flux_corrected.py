@@ -21,12 +21,15 @@ holds to round-off, whatever the divergence of the wind. docs/physics.md says mo
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
+from dafw.core.errors import SolverError
 from dafw.plugins.models.dispersion.transport.limiter import corrected
 from dafw.plugins.models.dispersion.transport.low_order import low_order
+from dafw.plugins.models.dispersion.transport.march import march
 from dafw.plugins.models.dispersion.transport.matrices import TransportMatrices
 from dafw.plugins.models.dispersion.transport.predictors import DirectPredictors, IterativePredictors
 from dafw.plugins.models.dispersion.transport.system import TransportSystem
@@ -96,8 +99,58 @@ class FluxCorrectedSystem:
 
         Raises SolverError if Galerkin's step cannot be solved, and ContractError if an array has another shape.
         """
+        after, gone = self.balanced_steps(concentration, [source])
+        return after[0], float(gone[0])
+
+    def balanced_steps(
+        self, concentration: np.ndarray, sources: Sequence[np.ndarray | None]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the concentrations (steps, nodes) after several steps, and the gas (steps,) that left in each.
+
+        ``sources`` has the source of every step; arguments and errors are as for ``balanced_step``.
+        """
         matrices, edges = self._matrices, self._matrices.edges
-        # A copy, because for an array that is read-only or has gaps numba would compile its functions again.
-        supplied = matrices.supplied(concentration, source).copy()
-        high, low = self._predictors.solve(supplied, concentration, source)
-        return corrected(edges.starts, edges.second, self._entries, self._nodal, self._free, high, low, supplied)
+        for source in sources:
+            matrices.require_nodal(concentration, source)
+        after, gone = np.empty((len(sources), matrices.nodes)), np.empty(len(sources))
+        # Contiguous arrays that may be written to: for others numba would compile its functions again.
+        field = np.array(concentration, dtype=np.float64)
+        if not isinstance(self._predictors, DirectPredictors):
+            for number, source in enumerate(sources):
+                supplied = matrices.supplied(field, source).copy()
+                high, low = self._predictors.solve(supplied, field, source)
+                after[number], gone[number] = corrected(
+                    edges.starts, edges.second, self._entries, self._nodal, self._free, high, low, supplied
+                )
+                field = after[number].copy()
+            return after, gone
+        without = all(source is None for source in sources)
+        nothing = np.zeros(matrices.nodes)
+        rates = [] if without else [nothing if source is None else source for source in sources]
+        one = self._predictors
+        elimination, factors = matrices.elimination, one.factors
+        factors.require_valid()
+        done = march(
+            edges.starts,
+            edges.second,
+            one.own,
+            one.between,
+            one.lumped,
+            elimination.fill.starts,
+            elimination.fill.rows,
+            factors.lower,
+            factors.upper,
+            factors.inverse,
+            elimination.places,
+            self._entries,
+            self._nodal,
+            self._free,
+            matrices.dt,
+            field,
+            np.array(rates, dtype=np.float64).reshape(len(rates), matrices.nodes),
+            after,
+            gone,
+        )
+        if done < len(sources):
+            raise SolverError("transport: a solution is not finite")
+        return after, gone

@@ -98,10 +98,14 @@ class TransportMatrices:
 
         Raises ContractError if an array has another shape.
         """
-        for array in (concentration,) if source is None else (concentration, source):
-            if array.shape != (self.nodes,):
-                raise ContractError(f"transport: expected {self.nodes} nodal values, got shape {array.shape}")
+        self.require_nodal(concentration, source)
         return concentration if source is None else concentration + self.dt * source
+
+    def require_nodal(self, *arrays: np.ndarray | None) -> None:
+        """Raise ContractError if an array is not None and has another shape than (nodes,)."""
+        for array in arrays:
+            if array is not None and array.shape != (self.nodes,):
+                raise ContractError(f"transport: expected {self.nodes} nodal values, got shape {array.shape}")
 
     def assemble(self, form: Any) -> np.ndarray:
         """Return the CSR values (z,) of a bilinear form of the space."""

@@ -7,6 +7,7 @@ solver returns the unit wind. Gioia et al. 2024, equation (INS), doi:10.1109/SDF
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -89,6 +90,14 @@ class WindSolver:
         # An overflow makes the iteration fail to converge, which is reported as such.
         with np.errstate(over="ignore", invalid="ignore"):
             return self._solve(float(intensity), float(direction), start)
+
+    def solve_ahead(self, winds: Sequence[tuple[float, float]], threads: int) -> None:
+        """Solve winds that ``solve`` will be asked for, several at a time where a solver can. No bit depends on it.
+
+        Args:
+            winds: intensity in m/s and direction in radians of each.
+            threads: how many at a time.
+        """
 
     def _solve(self, intensity: float, direction: float, start: np.ndarray | None) -> WindSolution:
         reynolds = self.reynolds(intensity)

@@ -22,9 +22,9 @@ BASIS = {"directions": 4, "levels": 1, "max_intensity": 3.0, "modes": 20, "toler
 def study(small_model, tmp_path, monkeypatch):
     monkeypatch.setenv("DAFW_CACHE", str(tmp_path / "cache"))
 
-    def make(digest="", executor="serial", truth=None, enrich=False, **wind):
+    def make(digest="", executor="serial", truth=None, enrich=False, transport=None, **wind):
         options = {"solver": "reduced", "basis": BASIS | {"digest": digest, "enrich": enrich}}
-        model = small_model | {"wind": options | wind}
+        model = small_model | {"wind": options | wind, "transport": transport or {}}
         truth = {"wind_speed": 2.0, "transport": {"diffusion": 0.8}, **(truth or {})}
         return small_study(model, truth, {"name": executor}, members=4, cycles=3)
 
@@ -150,3 +150,11 @@ def test_a_model_that_leaves_nothing_open_has_nothing_pinned(study, tmp_path):
     assert run_study(plain, tmp_path / "plain")["pinned"] == {}
     with netCDF4.Dataset(tmp_path / "plain" / "run.nc") as file:
         assert not [name for name in file.ncattrs() if name.endswith("_pinned")]
+
+
+def test_threads_change_no_bit(study, tmp_path, monkeypatch):
+    flux_corrected = {"scheme": "fct", "solver": "direct", "outflow": "open"}
+    for name, cores in (("one", 1), ("three", 3)):
+        monkeypatch.setattr(model_ins, "spare_cores", lambda cores=cores: cores)
+        run_study(study(transport=flux_corrected), tmp_path / name)
+    assert contents(tmp_path / "one") == contents(tmp_path / "three")

@@ -190,9 +190,12 @@ def test_results_do_not_depend_on_what_was_solved_before(block, solver, kind):
     first = [used.solve(*wind) for wind in winds]
     again = [used.solve(*wind, start=first[0].unit) for wind in winds]
     other = [fresh.solve(*wind) for wind in reversed(winds)][::-1]
-    for a, b, c in zip(first, again, other, strict=True):
+    used.solve_ahead(winds, 3)
+    side_by_side = [used.solve(*wind) for wind in winds]
+    for a, b, c, d in zip(first, again, other, side_by_side, strict=True):
         np.testing.assert_array_equal(a.unit, b.unit)
         np.testing.assert_array_equal(a.unit, c.unit)
+        np.testing.assert_array_equal(a.unit, d.unit)
         np.testing.assert_array_equal(used.velocity(a).x.array, fresh.velocity(c).x.array)
 
 

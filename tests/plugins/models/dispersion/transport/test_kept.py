@@ -23,7 +23,7 @@ class Maker:
             system.extend(parameters)
             return system
 
-        return self.kept.get(np.array(parameters), make)
+        return self.kept.place(np.array(parameters)).system(make)
 
 
 def test_the_same_bits_get_the_same_system():
