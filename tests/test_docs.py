@@ -85,6 +85,8 @@ REDUCED = {
         rf"\g<0> {BASIS}",
         "the default study: a basis of four winds",
     ),
+    r"^dafw run (?=experiment=chilbolton)": ("dafw run --cfg job ", "the data are not shipped: composed and shown"),
+    r"python -m benchmarks\.chilbolton.*$": (f"{BENCHMARKS}.chilbolton --help", "the data are not shipped"),
     r"^dafw run experiment=recorded.*$": (rf"\g<0> {COARSE} {BASIS}", "some 300 nodes, three members, one cycle"),
     FLAGSHIP: (rf"\g<0> {COARSE}", "some 300 nodes, three members, one cycle"),
     r"python -m benchmarks (?!.*(over_dapper|from_py))": (

@@ -175,10 +175,11 @@ class Puffs(Model):
         record = self.record
         if self.wind.steady:
             return []
-        gap = float(np.diff(record.time[1:]).max())
+        measured = record.time[1:-1]
+        gap = float(np.diff(measured).max())
         return [
-            f"{self.label}: {len(record.time) - 1} samples of the wind of t = {record.time[1]:g} to "
-            f"{record.time[-1]:g} s, the longest gap {gap:g} s, {record.spikes} spikes left out"
+            f"{self.label}: {len(measured)} samples of the wind of t = {measured[0]:g} to "
+            f"{measured[-1]:g} s, the longest gap {gap:g} s, {record.spikes} spikes left out"
         ]
 
     def initial(self, n_members: int, rng: MemberStreams) -> Array:

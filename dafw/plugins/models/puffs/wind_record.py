@@ -6,9 +6,9 @@ along moves from time a to time b by ::
     X(b) - X(a),    X(t) = integral of (u, v) from 0 to t
 
 with the measured wind linear between its samples, so that gaps are bridged. Before the first sample the wind is the
-mean of the first minute. Spikes, more than ``SPIKE`` robust standard deviations from the median of their 15 neighbours,
-are left out; a record of fewer samples has none. The turbulence at time t is the standard deviation of the samples of
-the last ten minutes; during the first minute, that of the first minute.
+mean of the first minute, after the last one that of the last. Spikes, more than ``SPIKE`` robust standard deviations
+from the median of their 15 neighbours, are left out; a record of fewer samples has none. The turbulence at time t is
+the standard deviation of the samples of the last ten minutes; during the first minute, that of the first minute.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ SPIKE, FLOOR = 5.0, 0.3
 NEIGHBOURS = 15
 TURBULENCE = 600.0
 """Seconds over which the standard deviation of the wind is taken."""
-FIRST = 60.0
+MINUTE = 60.0
 ALWAYS = 1e9
 """Seconds around t = 0 for which a steady wind is given."""
-BEFORE = 3600.0
-"""Seconds before the first sample for which the wind is extended."""
+BEYOND = 1e5
+"""Seconds for which the wind is extended before the first sample and after the last."""
 
 
 @dataclass
@@ -53,6 +53,8 @@ class WindFile(FileOptions):
 @dataclass(frozen=True, eq=False)
 class WindRecord:
     """Samples ``wind`` (S, 3) in m/s at ``time`` (S,) in s, ascending; ``carried`` (S, 2) in m is X at these times.
+
+    The first and the last are those that extend the record.
 
     ``turbulence`` (S, 2) are standard deviations, in m/s, of a horizontal and of the upward component. ``spikes`` is
     the number of samples that were left out.
@@ -87,13 +89,18 @@ def of_samples(time: Array, wind: Array) -> WindRecord:
         raise ConfigurationError(f"a measured wind needs samples at two times or more, got {len(moments)}")
     count = np.bincount(group)
     means = np.stack([np.bincount(group, wind[kept, axis]) / count for axis in range(3)], axis=1)
-    early = means[moments <= moments[0] + FIRST].mean(axis=0)
-    turbulence = _turbulence(moments, means)
-    moments, means = np.append(moments[0] - BEFORE, moments), np.vstack([early, means])
+    early = means[moments <= moments[0] + MINUTE].mean(axis=0)
+    late = means[moments >= moments[-1] - MINUTE].mean(axis=0)
     steps = 0.5 * (means[1:, :2] + means[:-1, :2]) * np.diff(moments)[:, np.newaxis]
-    steps[0] = early[:2] * BEFORE
-    carried = np.vstack([np.zeros(2), np.cumsum(steps, axis=0)])
-    return WindRecord(moments, means, carried, np.vstack([turbulence[:1], turbulence]), int((~kept).sum()))
+    steps = np.vstack([early[:2] * BEYOND, steps, late[:2] * BEYOND])
+    turbulence = _turbulence(moments, means)
+    return WindRecord(
+        time=np.hstack([moments[0] - BEYOND, moments, moments[-1] + BEYOND]),
+        wind=np.vstack([early, means, late]),
+        carried=np.vstack([np.zeros(2), np.cumsum(steps, axis=0)]),
+        turbulence=np.vstack([turbulence[:1], turbulence, turbulence[-1:]]),
+        spikes=int((~kept).sum()),
+    )
 
 
 def steady_wind(numbers: Sequence[float]) -> WindRecord:
@@ -118,7 +125,7 @@ def are_spikes(wind: Array) -> NDArray[np.bool_]:
 def _turbulence(time: Array, wind: Array) -> Array:
     """Return standard deviations (S, 2) of the last ten minutes: of a horizontal component, and upwards."""
     sums = np.vstack([np.zeros(6), np.cumsum(np.hstack([wind, wind**2]), axis=0)])
-    last = np.maximum(np.arange(len(time)) + 1, np.searchsorted(time, time[0] + FIRST, side="right"))
+    last = np.maximum(np.arange(len(time)) + 1, np.searchsorted(time, time[0] + MINUTE, side="right"))
     first = np.searchsorted(time, time - TURBULENCE)
     count = np.maximum(last - first, 1)[:, np.newaxis]
     mean, square = np.split((sums[last] - sums[first]) / count, 2, axis=1)

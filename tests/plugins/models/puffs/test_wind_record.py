@@ -29,10 +29,12 @@ def test_a_gap_is_bridged_and_the_order_of_samples_does_not_matter():
     assert moved[0] == pytest.approx(0.005 * 500.0**2)
 
 
-def test_before_the_record_the_wind_is_that_of_the_first_minute():
-    wind = np.tile([2.0, 1.0, 0.0], (TIME.size, 1))
+def test_outside_of_the_record_the_wind_is_that_of_the_first_and_of_the_last_minute():
+    wind = np.where(TIME[:, np.newaxis] < 600.0, [2.0, 1.0, 0.0], [0.0, -1.0, 0.0])
     record = of_samples(TIME, wind)
     np.testing.assert_allclose(record.carried_by(np.array(0.0)) - record.carried_by(np.array(-100.0)), [200.0, 100.0])
+    after = record.carried_by(np.array(TIME[-1] + 50.0)) - record.carried_by(np.array(TIME[-1]))
+    np.testing.assert_allclose(after, [0.0, -50.0], atol=1e-9)
 
 
 def test_samples_of_the_same_time_are_averaged():
@@ -82,4 +84,4 @@ def test_columns_are_turned_as_the_options_say(tmp_path):
     options = WindFile(file=str(tmp_path / "wind*.csv"), x="-north", y="east", z="up", delimiter="space")
     options.columns.time = "t"
     record = read_wind(options)
-    np.testing.assert_allclose(record.wind[1:], [[-5.0, 2.0 + t, 0.5] for t in range(4)])
+    np.testing.assert_allclose(record.wind[1:-1], [[-5.0, 2.0 + t, 0.5] for t in range(4)])
