@@ -117,6 +117,6 @@ case ${1:-} in
         ruff check
         ruff format --check
         mypy
-        exec pytest -q -n 2 --dist loadgroup --no-loadscope-reorder "$@" ;;
+        exec pytest -q -n 2 --dist worksteal "$@" ;;
     *) exec "$@" ;;
 esac

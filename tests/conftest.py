@@ -11,11 +11,5 @@ os.environ.setdefault("HDF5_USE_FILE_LOCKING", "FALSE")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Share the tests among processes (``sh setup.sh test`` has two): pages one by one, all others file by file.
-
-    A file's tests share what its fixtures make. Pages come first, because some of them take minutes.
-    """
+    """Try the pages first, because some of them take minutes: of two processes none then waits long for the other."""
     items.sort(key=lambda item: item.path.name != "test_docs.py")
-    for item in items:
-        name = item.name if item.path.name == "test_docs.py" else str(item.path)
-        item.add_marker(pytest.mark.xdist_group(name))

@@ -255,7 +255,8 @@ def _checks(world: World, failing: str) -> tuple[int, list[str]]:
 
 
 def test_test_is_lint_types_and_tests(world):
-    assert _checks(world, "none") == (0, ["ruff check", "ruff format --check", "mypy", "pytest -q -k a word"])
+    tests = "pytest -q -n 2 --dist worksteal -k a word"
+    assert _checks(world, "none") == (0, ["ruff check", "ruff format --check", "mypy", tests])
 
 
 @pytest.mark.parametrize(
