@@ -98,6 +98,8 @@ REDUCED = {
         rf"\g<0> {BASIS}",
         "the default study: a basis of four winds",
     ),
+    r"^dafw run (?=experiment=chilbolton)": ("dafw run --cfg job ", "the data are not shipped: composed and shown"),
+    r"python -m benchmarks\.chilbolton.*$": (f"{BENCHMARKS}.chilbolton --help", "the data are not shipped"),
     r"^dafw run experiment=recorded.*$": (rf"\g<0> {COARSE} {BASIS}", "some 300 nodes, three members, one cycle"),
     FLAGSHIP: (rf"\g<0> {COARSE}", "some 300 nodes, three members, one cycle"),
     r"python -m benchmarks (?!.*(over_dapper|from_py))": (
@@ -126,7 +128,7 @@ OMITTED = {
 PROGRAMS = {
     "sys.argv[1:]": ('("60", "90", "0")', "its arguments: a coarse mesh, no draws"),
     "(0.0, 0.03, 5.0, 10.0, 17.0, 21.0, 25.0)": ("(0.0, 5.0)", "winds that are soon solved"),
-    '"cycles=20"]': (f'*"{COARSE}".split()]', "the flagship, as above"),
+    '"cycles=20"]': (f'*"{COARSE} {BASIS}".split()]', "the flagship, as above"),
 }
 """What is run instead of parts of programs, and why."""
 

@@ -55,7 +55,8 @@ class Variable:
 
     ``size`` numbers of one ``kind`` in ``units`` (UDUNITS spelling); ``coordinates`` is (size, d) in metres, or None
     if the numbers have no place. ``plausible`` is the largest absolute value that the model itself can produce,
-    errors of its scheme included: a belief far beyond it has diverged. Raises ConfigurationError if these do not fit
+    errors of its scheme included: a belief far beyond it has diverged. ``triangles`` (faces, 3) connect the numbers,
+    between which the variable is linear; None if it has no mesh. Raises ConfigurationError if these do not fit
     together.
 
     >>> Variable("speed", 2, NONNEGATIVE, "m s-1", np.array([[0.0, 0.0], [9.0, 0.0]])).nearest([[7.0, 1.0]])
@@ -69,6 +70,7 @@ class Variable:
     coordinates: Array | None = None
     long_name: str = ""
     plausible: float = np.inf
+    triangles: NDArray[np.int32] | None = None
 
     def __post_init__(self) -> None:
         if not self.name.isidentifier():

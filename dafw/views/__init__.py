@@ -6,9 +6,11 @@ needs no display and no global state. Importing this package loads matplotlib, s
 
 from __future__ import annotations
 
+from dafw.views.expected import plot_expected
 from dafw.views.files import compare, draw_all, draw_runs
 from dafw.views.innovations import plot_innovations
 from dafw.views.maps import plot_contours, plot_route
+from dafw.views.places import plot_places
 from dafw.views.section import plot_section
 from dafw.views.series import plot_errors, plot_parameters, plot_state
 
@@ -18,8 +20,10 @@ __all__ = [
     "draw_runs",
     "plot_contours",
     "plot_errors",
+    "plot_expected",
     "plot_innovations",
     "plot_parameters",
+    "plot_places",
     "plot_route",
     "plot_section",
     "plot_state",

@@ -104,12 +104,17 @@ def polyline(run: Dataset, name: str) -> np.ndarray:
     return np.column_stack([run[f"{name}_x"].values, run[f"{name}_y"].values])
 
 
+def landmarks(run: Dataset) -> dict[str, np.ndarray]:
+    """Return the positions (2,) in metres of all landmarks of the site, by name."""
+    if "landmark_name" not in run.variables:
+        return {}
+    names = [n.decode() if isinstance(n, bytes) else str(n) for n in run["landmark_name"].values]
+    return dict(zip(names, polyline(run, "landmark"), strict=True))
+
+
 def landmark(run: Dataset, name: str) -> np.ndarray | None:
     """Return the position (2,) in metres of a landmark of the site; None if there is none of that name."""
-    if "landmark_name" not in run.variables:
-        return None
-    names = [n.decode() if isinstance(n, bytes) else str(n) for n in run["landmark_name"].values]
-    return polyline(run, "landmark")[names.index(name)] if name in names else None
+    return landmarks(run).get(name)
 
 
 def is_angle(run: Dataset, variable: str) -> bool:

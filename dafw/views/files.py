@@ -23,8 +23,10 @@ from dafw.views.contents import (
     scalar_variables,
     scored_variable,
 )
+from dafw.views.expected import has_expected, plot_expected
 from dafw.views.innovations import plot_innovations
 from dafw.views.maps import plot_contours, plot_route
+from dafw.views.places import has_places, plot_places
 from dafw.views.section import plot_section
 from dafw.views.series import plot_errors, plot_parameters, plot_state
 from dafw.views.style import RESOLUTION
@@ -39,8 +41,9 @@ def draw_all(run: Dataset, folder: Path) -> list[Path]:
     """Write every picture for which this run has data, and return the files.
 
     A truth gives err.png, readings give innovations.png. A field on a mesh gives route.png, contours.png and (with a
-    polyline) section.png; a state without coordinates gives state.png; scalars of the state give parameters.png. Raises
-    RunError if ``run`` is not a run of dafw.
+    polyline) section.png; a state without coordinates gives state.png; scalars of the state give parameters.png; a
+    source of unknown place gives places.png, sensors with unknown backgrounds expected.png. Raises RunError if ``run``
+    is not a run of dafw.
     """
     scored = run[f"{scored_variable(run)}_mean"]
     one = {"belief": run}
@@ -54,6 +57,10 @@ def draw_all(run: Dataset, folder: Path) -> list[Path]:
         pictures["contours"] = lambda: plot_contours(run)
     elif scored.ndim == 2 and run.sizes["time"] > 1 and has_every_field(run):
         pictures["state"] = lambda: plot_state(run)
+    if has_places(run):
+        pictures["places"] = lambda: plot_places(run)
+    if has_expected(run):
+        pictures["expected"] = lambda: plot_expected(run)
     if has_section(run):
         pictures["section"] = lambda: plot_section(run)
     if scalar_variables(run):

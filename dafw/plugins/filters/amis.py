@@ -109,7 +109,8 @@ class AMIS(Filter):
                 break
             # At most half of the samples count equally: a few good ones among bad ones say nothing of the covariance.
             leading = clipped(log_base + fit, int(min(max(size, n_moments(len(controls))), 0.5 * len(samples))))
-            if batches % 2 == 0 and can_linearise(controls, leading):
+            by_slopes = batches % 2 == 0 and not self.likelihood.has_background and can_linearise(controls, leading)
+            if by_slopes:
                 proposal = linearised(controls, samples, leading, weights, window, self.likelihood, size, rng.random())
             else:
                 proposal = Kernels.around(controls, samples.coordinates, leading, size, rng)
@@ -133,6 +134,7 @@ class AMIS(Filter):
         done = {"done": np.array(number + 1), "seen": np.array(readings_before(window, number + 1))}
         memory = {**kept.to_memory(), **kernels.to_memory(), **done, **always}
         diagnostics = self._diagnostics(samples, weights, batches * size)
+        diagnostics |= self.likelihood.seen(window, samples.predicted, samples.fit, weights)
         return Analysis(members, memory, diagnostics, shares, model_memory=belief.memory)
 
     def _known(self, window: Window, controls: Controls) -> tuple[Candidates, Kernels]:

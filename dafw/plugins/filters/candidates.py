@@ -88,12 +88,14 @@ class Candidates:
         if readings_before(window, since) != int(memory["seen"]):
             start = window.first.ensemble.with_members(self.starts)
             now, fit, predicted, kept = _run(window, start, window.cycles[0].number, likelihood)
+            fit = _of_all(window, predicted, fit, likelihood)
             return replace(self.taken(kept), fit=fit, predicted=predicted, now=now)
         now, fit, predicted, kept = _run(window, self.now, since, likelihood)
         rest = self.taken(kept)
         predicted = np.concatenate([rest.predicted, predicted], axis=1)
         faded = likelihood.faded(window.cycles[-1].number + 1 - since)[:, np.newaxis]
-        return replace(rest, fit=faded * rest.fit + fit, predicted=predicted, now=now)
+        fit = _of_all(window, predicted, faded * rest.fit + fit, likelihood)
+        return replace(rest, fit=fit, predicted=predicted, now=now)
 
 
 def readings_before(window: Window, number: int) -> int:
@@ -137,6 +139,7 @@ def evaluated(
     ensemble = window.first.ensemble.with_members(starts)
     start = ensemble if memory is None else Forecast(ensemble, memory)
     now, fit, predicted, kept = _run(window, start, window.cycles[0].number, likelihood)
+    fit = _of_all(window, predicted, fit, likelihood)
     zeros = np.zeros(len(kept))
     return Candidates(starts[kept], coordinates[kept], log_prior[kept], zeros, zeros, fit, predicted, now), kept
 
@@ -153,6 +156,13 @@ def tried(
         if error.member is None:
             raise
         return None  # each of them failed for itself; the candidates so far are not concerned
+
+
+def _of_all(window: Window, predicted: Array, fit: Array, likelihood: Likelihood) -> Array:
+    """Return the fit (P, 2, S) of all readings: the sum over cycles, unless backgrounds tie the readings together."""
+    if not likelihood.has_background or not predicted.shape[1]:
+        return fit
+    return np.repeat(likelihood.of_sequence(window.cycles, predicted).fit[:, np.newaxis], 2, axis=1)
 
 
 def _run(
@@ -183,6 +193,8 @@ def _run(
             seen = cycle.observation
             predicted.append(replay.predicted[cycle.number])
             age = cycles[-1].number - cycle.number
+            if likelihood.has_background:
+                continue
             density = likelihood.log_density(predicted[-1], seen.values, seen.covariance)
             fit += likelihood.faded(age)[:, np.newaxis] * density[:, np.newaxis]
     now = Forecast(replay.forecast.ensemble, replay.forecast.memory)

@@ -10,6 +10,9 @@ in a twin experiment whose truth is the model, large where the model cannot foll
 
 (y - h) / s has a Student t distribution of ``degrees_of_freedom``, or a normal one. Readings a second apart share the
 model's error: each counts only as ``independence`` of a reading, that is, the likelihood is raised to that power.
+With ``background.sd`` every sensor has an unknown background that drifts, and the source may be on and off: the
+likelihood is then that of the whole sequence of readings (background.py), whose errors are relative to the prediction.
+
 A reading below ``detection_limit`` says only that the truth is below it.
 
 Constant parameters that follow the truth's cloud now need not be those that followed it a while ago, where the model
@@ -22,13 +25,35 @@ of a new one. A part lasts, so that explanations that were once ruled out do not
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from dafw.core.ensemble import Diagnostic
 from dafw.core.errors import ConfigurationError
 from dafw.core.options import option
 from dafw.core.space import Array
+
+if TYPE_CHECKING:
+    from dafw.core.window import PastCycle, Window
+    from dafw.plugins.filters.background import Judged
+
+
+@dataclass
+class Background:
+    """What sensors read beside the gas of the source, in units of the readings."""
+
+    mean: float = option(0.0, "first guess of a sensor's background")
+    sd: float | None = option(None, "its standard deviation; null: there is no background", above=0.0)
+    drift: float = option(0.0, "standard deviation of its change in a second; grows with the root of time", minimum=0.0)
+    on_off: float | None = option(
+        None, "mean seconds from one change of the source, on or off, to the next; null: it is always on", above=0.0
+    )
+    sensors: list[str] = option(
+        [], "names of the sensors, in the order of the record; must be given if some begin to read later than others"
+    )
 
 
 @dataclass
@@ -48,12 +73,64 @@ class Likelihood:
     )
     lasting: float = option(0.1, "share of a reading's weight that does not fade", minimum=0.0, maximum=1.0)
     detection_limit: float | None = option(None, "a reading below it means only: less than this; null: no limit")
+    background: Background = option(Background, "unknown backgrounds of the sensors, and a source that is on and off")
 
     def __post_init__(self) -> None:
         for name in ("absolute", "relative"):
             sizes = getattr(self, name)
             if not sizes or any(isinstance(size, bool) or not size >= 0.0 for size in sizes):
                 raise ConfigurationError(f"likelihood.{name} must list one or more sizes of at least 0, got {sizes}")
+
+        if self.background.sd is None:
+            if self.background.on_off is not None:
+                raise ConfigurationError("likelihood.background.on_off needs background.sd, the sensors' backgrounds")
+            return
+        for name, value in (("half_life", self.half_life), ("detection_limit", self.detection_limit)):
+            if value is not None:
+                raise ConfigurationError(f"likelihood.{name} cannot be used with background.sd, got {value:g}")
+
+    @property
+    def has_background(self) -> bool:
+        """Whether sensors have unknown backgrounds, so that only the sequence of all readings can be judged."""
+        return self.background.sd is not None
+
+    def of_sequence(self, cycles: Sequence[PastCycle], predicted: Array) -> Judged:
+        """Return what the readings of all cycles say of candidates that predict ``predicted`` (P, M)."""
+        from dafw.plugins.filters.background import judged
+
+        options, degrees = self.background, self.degrees_of_freedom
+        return judged(
+            cycles,
+            predicted,
+            self.sizes,
+            options.mean,
+            options.sd or 0.0,
+            options.drift,
+            np.inf if options.on_off is None else options.on_off,
+            np.inf if degrees is None else degrees,
+            self.independence,
+            options.sensors,
+        )
+
+    def seen(self, window: Window, predicted: Array, fit: Array, weights: Array) -> dict[str, Diagnostic]:
+        """Return averages over weighted candidates, for the record: backgrounds, whether the source is on, readings.
+
+        The arguments are as in ``Candidates``, with ``weights`` (P,). Without backgrounds there is nothing.
+        """
+        if not self.has_background:
+            return {}
+        found = self.of_sequence(window.cycles, predicted)
+        log_density = self.joined(fit)
+        share = np.exp(log_density - np.logaddexp.reduce(log_density, axis=1, keepdims=True)) * weights[:, np.newaxis]
+        background, expected = np.tensordot(share, found.background, 2), np.tensordot(share, found.expected, 2)
+        names = ", ".join(found.sensors)
+        return {
+            "background": Diagnostic(background, ("with_background",), long_name=f"background of the sensors {names}"),
+            "expected": Diagnostic(
+                expected, ("with_background",), long_name=f"what was expected of the sensors {names}"
+            ),
+            "source_on": Diagnostic(np.sum(share * found.on), long_name="probability that the source is on"),
+        }
 
     @property
     def sizes(self) -> Array:

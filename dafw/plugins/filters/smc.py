@@ -131,6 +131,7 @@ class SMC(Filter):
             "model_error_relative": (relative, "estimated size of the model's error, relative"),
         }
         diagnostics = {name: Diagnostic(value, long_name=text) for name, (value, text) in named.items()}
+        diagnostics |= self.likelihood.seen(window, members.predicted, members.fit, weights)
         memory = {**members.to_memory(), **done}
         return Analysis(belief, memory, diagnostics, weights, model_memory=members.now.memory)
 

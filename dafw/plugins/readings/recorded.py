@@ -23,14 +23,17 @@ from dafw.core.late import FORGIVEN
 from dafw.core.observation import Interpolation, Observation
 from dafw.core.options import build, option
 from dafw.core.space import Array, StateSpace
+from dafw.plugins.observers.path import ends_of
 from dafw.plugins.readings.files.any_file import EXAMPLE, read_table
 from dafw.plugins.readings.files.options import FileOptions
-from dafw.plugins.readings.files.placing import Placed, placed
+from dafw.plugins.readings.files.placing import Placed, entries_of_sensors, placed, placed_on_paths
 from dafw.plugins.readings.files.screening import (
     REASONS,
+    averaged,
     complete,
     converted,
     in_study_time,
+    possible,
     start_of,
     with_unit,
     without_doubles,
@@ -94,6 +97,17 @@ class Recorded(FileOptions, Readings):
     )
     relative_sd: float = option(0.0, "another part of the error, as a share of the value less background", minimum=0.0)
     background: float = option(0.0, "subtracted from every value, in the unit of the file")
+    lowest: float | None = option(None, "values below it, in the unit of the file, cannot be and are left out")
+    highest: float | None = option(None, "values above it cannot be and are left out")
+    averaging: float | None = option(
+        None,
+        "every sensor's readings become their means over this many seconds from t = 0; null: as they are",
+        above=0.0,
+    )
+    entries: dict[str, int] = option({}, "by sensor: the entry of the variable that it reads, from 0", minimum=0)
+    paths: dict[str, Any] = option(
+        {}, "by sensor: the line along which it reads the mean of the variable, [[x, y], [x, y]] in metres"
+    )
     detection_limit: float | None = option(
         None, "of a value (less background) below it is only known that it lies between 0 and this", above=0.0
     )
@@ -114,6 +128,9 @@ class Recorded(FileOptions, Readings):
             raise ConfigurationError(
                 f"readings 'recorded': origin must be [longitude, latitude] in degrees, got {self.origin}"
             )
+        if self.entries and self.paths:
+            raise ConfigurationError("readings 'recorded': sensors have entries or paths, not both")
+        ends_of(self.paths, "readings 'recorded'")
         for name, own in self.sensors.items():
             where = f"readings 'recorded', sensor '{name}'"
             if not isinstance(own, Mapping):
@@ -128,18 +145,22 @@ class Recorded(FileOptions, Readings):
     @cached_property
     def usable(self) -> Usable:
         """The readings, with errors, in the time of the study; raises ReadingsError."""
-        kind = self.rows.place_kind(self.place)
-        table, incomplete = complete(self.rows, kind)
+        rows = self.rows
+        if self.entries:
+            rows = rows.changed(entry=entries_of_sensors(rows, self.entries))
+        kind = "entry" if self.entries else None if self.paths else rows.place_kind(self.place)
+        table, incomplete = complete(rows, kind)
         table, doubled = without_doubles(table)
+        table, impossible = possible(table, self.lowest, self.highest)
         start = start_of(table, self.start)
         common = SensorOptions(self.sd, self.relative_sd, self.background, self.detection_limit, self.response_time)
         sensors = sensors_of(table, common, self.sensors, "readings 'recorded'")
         table = with_errors(in_study_time(table, start), sensors)
-        table, repeated = without_repeats(table, self.repeated)
+        table, repeated = without_repeats(averaged(table, self.averaging), self.repeated)
         table, slow = undone_response(table, sensors)
         table, below = censored(table, sensors)
         dropped = 0 if self.repeated == "keep" else repeated
-        counts = dict(incomplete=incomplete, doubled=doubled, repeated=dropped, slow_start=slow)
+        counts = dict(incomplete=incomplete, doubled=doubled, impossible=impossible, repeated=dropped, slow_start=slow)
         return Usable(table, kind, start, counts, below, repeated)
 
     def suit(self, space: StateSpace, domain: Domain | None, dt: float) -> None:
@@ -165,7 +186,12 @@ class Recorded(FileOptions, Readings):
         variable = space.variables[0] if self.variable is None else space[self.variable]
         values, sd = converted(usable.table, self.reference or variable.units)
         origin = None if self.origin is None else (self.origin[0], self.origin[1])
-        at = placed(usable.table, usable.kind, space, domain, self.variable, origin)
+        if self.paths:
+            at = placed_on_paths(
+                usable.table, space, self.variable, ends_of(self.paths, "readings 'recorded'"), self.label
+            )
+        else:
+            at = placed(usable.table, usable.kind, space, domain, self.variable, origin)
         free = ~(at.outside | at.in_building)
         table = usable.table.chosen(free)
         counts = {**usable.counts, "outside": int(at.outside.sum()), "in_building": int(at.in_building.sum())}

@@ -177,11 +177,11 @@ class AdvectionDiffusion(Model):
     @cached_property
     def space(self) -> StateSpace:  # type: ignore[override]  # made when first asked for
         """Concentration, wind speed, wind direction, and whatever else is estimated."""
-        nodes = self._topology[0]
+        nodes, triangles = self._topology
         largest = largest_concentration(self.noise) * largest_scale(self._sources, self.estimate)
         return StateSpace(
             [
-                Variable("concentration", len(nodes), NONNEGATIVE, "1", nodes, "", largest),
+                Variable("concentration", len(nodes), NONNEGATIVE, "1", nodes, "", largest, triangles),
                 *(Variable(one.name, 1, one.kind, one.units, plausible=one.plausible) for one in self._unknown),
             ]
         )

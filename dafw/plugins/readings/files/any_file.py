@@ -6,6 +6,7 @@ from pathlib import Path
 
 from dafw.core.errors import ReadingsError
 from dafw.plugins.readings.files.options import FileOptions
+from dafw.plugins.readings.files.several import is_pattern, read_several
 from dafw.plugins.readings.files.table import Table, about
 
 SUFFIXES = {".csv": "csv", ".txt": "csv", ".tsv": "csv", ".nc": "netcdf", ".geojson": "geojson", ".json": "geojson"}
@@ -26,8 +27,13 @@ def path_of(options: FileOptions) -> Path:
 
 
 def read_table(options: FileOptions) -> Table:
-    """Return the readings of a file as they stand in it; raises ReadingsError."""
-    path = path_of(options)
+    """Return the readings of a file, or of several, as they stand in it; raises ReadingsError."""
+    if is_pattern(options.file):
+        return read_several(options.file, lambda path: _read(path, options))
+    return _read(path_of(options), options)
+
+
+def _read(path: Path, options: FileOptions) -> Table:
     kind = format_of(path) if options.format == "by_name" else options.format
     try:
         if kind == "csv":

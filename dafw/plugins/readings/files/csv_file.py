@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from dafw.plugins.readings.files.cells import Raw, find_columns, made, without_unit
 from dafw.plugins.readings.files.options import FileOptions
-from dafw.plugins.readings.files.table import NUMBERS, TEXTS, Table, about, written_date
+from dafw.plugins.readings.files.table import NUMBERS, TEXTS, Table, about, shown, written_date
+from dafw.plugins.readings.files.times import parsed_date
 
 DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t", "bar": "|"}
 
@@ -45,7 +48,23 @@ def read_csv(path: Path, options: FileOptions) -> Table:
         units=units,
         others=tuple(header.strip() for n, header in enumerate(headers) if n not in places.values()),
     )
-    return made(raw, options)
+    table = made(raw, options)
+    return table if options.date_line is None else _dated(table, text, options)
+
+
+def _dated(table: Table, text: str, options: FileOptions) -> Table:
+    """Return a table in seconds with the date that stands in a line of the file; raises ReadingsError."""
+    number = options.date_line or 1
+    lines = text.splitlines()
+    if table.epoch is not None:
+        raise table.error("date_line says from which date seconds count, and its times are dates already")
+    line = lines[number - 1] if number <= len(lines) else ""
+    # Some instruments write " 9.5" for the seconds "09.5".
+    moment = parsed_date(re.sub(r":\s+", ":0", line), options.date_format)
+    if moment is None:
+        form = "ISO 8601" if options.date_format is None else repr(options.date_format)
+        raise about(table.path, f"expected a date as {form}, got {shown(line)}", "line", number)
+    return replace(table, epoch=moment)
 
 
 def _lines(text: str, options: FileOptions, name: str) -> list[tuple[int, list[str]]]:

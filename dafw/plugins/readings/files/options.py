@@ -32,7 +32,11 @@ class ColumnOptions:
 class FileOptions:
     """A file of readings and how it is written."""
 
-    file: str = option(REQUIRED, "path of a .csv, .nc or .geojson file, or 'example' for the one that ships with dafw")
+    file: str = option(
+        REQUIRED,
+        "path of a .csv, .nc or .geojson file, or 'example' for the one that ships with dafw; a * in it names several "
+        "files, and stands for the name of the sensor of each",
+    )
     columns: ColumnOptions = option(ColumnOptions, "which column holds what")
     place: str = option(
         "auto",
@@ -56,6 +60,10 @@ class FileOptions:
     )
     decimal: str = option("point", "CSV: the decimal mark", choices=["point", "comma"])
     skip: int = option(0, "CSV: number of lines before the line of column names", minimum=0)
+    date_line: int | None = option(
+        None, "CSV: number of the line, from 1, with the date from which the seconds of the times count", minimum=1
+    )
+    date_format: str | None = option(None, "CSV: how that date is written, as time_format says; null: ISO 8601")
     missing: list[str] = option(
         ["nan", "na", "n/a", "null", "none", "-", "--"], "words that stand for a missing number, beside the empty cell"
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,12 +12,13 @@ from dafw.core.domain import Domain
 from dafw.core.geography import to_metres
 from dafw.core.interpolation import weights_at
 from dafw.core.space import Array, IntArray, StateSpace, Variable
+from dafw.plugins.observers.path import line_means
 from dafw.plugins.readings.files.table import Table
 
 
 @dataclass(frozen=True, eq=False)
 class Placed:
-    """Reading r is the sum over k of weights[r, k] state[indices[r, k]]; both (R, 3).
+    """Reading r is the sum over k of weights[r, k] state[indices[r, k]]; both (R, k).
 
     ``coordinates`` (R, 2) are places in metres, None if readings have none. ``outside`` and ``in_building`` (R,) mark
     readings that cannot be used.
@@ -69,6 +71,38 @@ def placed(
         indices[:, : found.shape[1]], weights[:, : shares.shape[1]] = found, shares
         _exactly_at_nodes(variable, points, indices, weights)
     return Placed(indices + start, weights, points, outside, in_building)
+
+
+def placed_on_paths(
+    table: Table, space: StateSpace, name: str | None, paths: Mapping[str, Array], label: str
+) -> Placed:
+    """Return where readings are that are means along lines, ``paths`` (2, 2) by sensor.
+
+    Raises ReadingsError for a sensor without a path, ConfigurationError, which begins with ``label``, for a line that
+    leaves the mesh.
+    """
+    variable = space.variables[0] if name is None else space[name]
+    if variable.coordinates is None or variable.coordinates.shape[1] != 2:
+        raise table.error(f"paths need a variable with places in the plane, '{variable.name}' has none: use entries")
+    rows = _numbered(table, list(paths), "paths")
+    indices, weights = line_means(variable, list(paths.values()), label)
+    middles = np.array([ends.mean(axis=0) for ends in paths.values()])
+    none = np.zeros(len(table), dtype=np.bool_)
+    return Placed(indices[rows] + space.slice(variable.name).start, weights[rows], middles[rows], none, none)
+
+
+def entries_of_sensors(table: Table, entries: Mapping[str, int]) -> Array:
+    """Return the entry (R,) of every row's sensor; raises ReadingsError for a sensor that has none."""
+    return np.array(list(entries.values()), dtype=np.float64)[_numbered(table, list(entries), "entries")]
+
+
+def _numbered(table: Table, names: Sequence[str], option: str) -> IntArray:
+    """Return the place (R,) of every row's sensor in a list; raises ReadingsError for one that is not in it."""
+    number = {name: place for place, name in enumerate(names)}
+    for row, sensor in enumerate(table.text("sensor")):
+        if sensor not in number:
+            raise table.error(f"the sensor '{sensor}' is not among {option}: {', '.join(names)}", row)
+    return np.array([number[sensor] for sensor in table.text("sensor")], dtype=np.int64)
 
 
 def _entries(table: Table, kind: str | None, variable: Variable) -> tuple[IntArray, Array]:

@@ -15,6 +15,7 @@ from dafw.plugins.readings.files.units import linear, require_unit
 REASONS = {
     "incomplete": "without a time, a value or a place",
     "doubled": "the same as an earlier row",
+    "impossible": "below lowest or above highest",
     "repeated": "of a sensor at a time of which it has another reading (repeated)",
     "slow_start": "the first reading of a sensor with a response time",
     "outside": "outside the site",
@@ -41,6 +42,36 @@ def without_doubles(table: Table) -> tuple[Table, int]:
         kept[row] = key not in seen
         seen.add(key)
     return table.chosen(kept), int((~kept).sum())
+
+
+def possible(table: Table, lowest: float | None, highest: float | None) -> tuple[Table, int]:
+    """Return the rows whose values lie between two numbers, and how many do not."""
+    value = table.number("value")
+    inside = (value >= (-np.inf if lowest is None else lowest)) & (value <= (np.inf if highest is None else highest))
+    return table.chosen(inside), int((~inside).sum())
+
+
+def averaged(table: Table, span: float | None) -> Table:
+    """Return the table, sorted by time, with the means of every sensor over spans of ``span`` seconds from t = 0.
+
+    A mean has the time of its span's end, when it is known. The errors of single readings are taken to be independent.
+    Places, where there are any, are averaged too. None: the table as it is.
+    """
+    if span is None or not len(table):
+        return table
+    number = np.ceil(table.number("time") / span - 1e-9)
+    names = {name: place for place, name in enumerate(dict.fromkeys(table.text("sensor")))}
+    sensor = np.array([names[name] for name in table.text("sensor")])
+    _, first, group = np.unique(np.stack([number, sensor]), axis=1, return_index=True, return_inverse=True)
+    count = np.bincount(group.ravel())
+    means = {}
+    for role, column in table.numbers.items():
+        if role == "sd":
+            means[role] = np.sqrt(np.bincount(group.ravel(), column**2)) / count
+        elif role != "entry":
+            means[role] = np.bincount(group.ravel(), column) / count
+    kept = table.chosen(first)
+    return kept.changed(**means | {role: number[first] * span for role in ("time", "arrives") if role in means})
 
 
 def start_of(table: Table, start: float | str | None) -> float:

@@ -1,0 +1,1 @@
+"""A plume of puffs in a measured wind."""

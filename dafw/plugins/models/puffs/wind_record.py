@@ -1,0 +1,156 @@
+"""A wind that somebody measured at one place: how far it carries something, and how much it fluctuates.
+
+The wind is taken to be the same everywhere, as it nearly is on flat ground without buildings. Something that is carried
+along moves from time a to time b by ::
+
+    X(b) - X(a),    X(t) = integral of (u, v) from 0 to t
+
+with the measured wind linear between its samples, so that gaps are bridged. Before the first sample the wind is the
+mean of the first minute, after the last one that of the last. Spikes, more than ``SPIKE`` robust standard deviations
+from the median of their 15 neighbours, are left out; a record of fewer samples has none. The turbulence at time t is
+the standard deviation of the samples of the last ten minutes; during the first minute, that of the first minute.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dafw.core.errors import ConfigurationError
+from dafw.core.options import option
+from dafw.core.space import Array
+from dafw.plugins.readings.files.options import ColumnOptions, FileOptions
+
+SPIKE, FLOOR = 5.0, 0.3
+"""Robust standard deviations, and m/s beside them, by which a spike leaves the median of its neighbours."""
+NEIGHBOURS = 15
+TURBULENCE = 600.0
+"""Seconds over which the standard deviation of the wind is taken."""
+MINUTE = 60.0
+ALWAYS = 1e9
+"""Seconds around t = 0 for which a steady wind is given."""
+BEYOND = 1e5
+"""Seconds for which the wind is extended before the first sample and after the last."""
+
+
+@dataclass
+class WindFile(FileOptions):
+    """Where the wind was recorded. ``columns.value`` is not used."""
+
+    file: str = option("", "path of the file with the wind; a * in it names several files; empty: a steady wind")
+    steady: list[float] = option(
+        [], "without a file: [x, y, s, h] in m/s, the wind's components and its standard deviations, sideways, upwards"
+    )
+    x: str = option("wind_x", "column of the wind's component along x, m/s; with a minus before it, its negative")
+    y: str = option("wind_y", "column of the component along y")
+    z: str = option("wind_z", "column of the component upwards")
+    start: float | str | None = option(None, "what is t = 0, as for readings=recorded: the same time")
+
+
+@dataclass(frozen=True, eq=False)
+class WindRecord:
+    """Samples ``wind`` (S, 3) in m/s at ``time`` (S,) in s, ascending; ``carried`` (S, 2) in m is X at these times.
+
+    The first and the last are those that extend the record.
+
+    ``turbulence`` (S, 2) are standard deviations, in m/s, of a horizontal and of the upward component. ``spikes`` is
+    the number of samples that were left out.
+    """
+
+    time: Array
+    wind: Array
+    carried: Array
+    turbulence: Array
+    spikes: int
+
+    def carried_by(self, t: Array) -> Array:
+        """Return X (..., 2) in m at times (...)."""
+        return np.stack([np.interp(t, self.time, self.carried[:, axis]) for axis in range(2)], axis=-1)
+
+    def turbulence_at(self, t: Array) -> Array:
+        """Return the standard deviations (..., 2) in m/s at times (...)."""
+        before = np.clip(np.searchsorted(self.time, t, side="right") - 1, 0, None)
+        return np.asarray(self.turbulence[before])
+
+
+def of_samples(time: Array, wind: Array) -> WindRecord:
+    """Return the record of samples: times (S,) in s, wind (S, 3) in m/s.
+
+    Raises ConfigurationError if they are of less than two times.
+    """
+    order = np.argsort(time, kind="stable")
+    time, wind = time[order], wind[order]
+    kept = ~are_spikes(wind)
+    moments, group = np.unique(time[kept], return_inverse=True)
+    if len(moments) < 2:
+        raise ConfigurationError(f"a measured wind needs samples at two times or more, got {len(moments)}")
+    count = np.bincount(group)
+    means = np.stack([np.bincount(group, wind[kept, axis]) / count for axis in range(3)], axis=1)
+    early = means[moments <= moments[0] + MINUTE].mean(axis=0)
+    late = means[moments >= moments[-1] - MINUTE].mean(axis=0)
+    steps = 0.5 * (means[1:, :2] + means[:-1, :2]) * np.diff(moments)[:, np.newaxis]
+    steps = np.vstack([early[:2] * BEYOND, steps, late[:2] * BEYOND])
+    turbulence = _turbulence(moments, means)
+    return WindRecord(
+        time=np.hstack([moments[0] - BEYOND, moments, moments[-1] + BEYOND]),
+        wind=np.vstack([early, means, late]),
+        carried=np.vstack([np.zeros(2), np.cumsum(steps, axis=0)]),
+        turbulence=np.vstack([turbulence[:1], turbulence, turbulence[-1:]]),
+        spikes=int((~kept).sum()),
+    )
+
+
+def steady_wind(numbers: Sequence[float]) -> WindRecord:
+    """Return the record of a wind that never changes: x, y and its standard deviations; raises ConfigurationError."""
+    if len(numbers) != 4 or min(numbers[2:]) < 0.0:
+        raise ConfigurationError(f"model 'puffs': wind.steady must be [x, y, s, h] in m/s, got {list(numbers)}")
+    time, wind = np.array([-ALWAYS, ALWAYS]), np.tile([*numbers[:2], 0.0], (2, 1))
+    return WindRecord(time, wind, time[:, np.newaxis] * wind[:, :2], np.tile(numbers[2:], (2, 1)), 0)
+
+
+def are_spikes(wind: Array) -> NDArray[np.bool_]:
+    """Return which samples (S,) of a wind (S, 3) in the order of time are far from the median of their neighbours."""
+    from scipy.ndimage import median_filter
+
+    if len(wind) < NEIGHBOURS:
+        return np.zeros(len(wind), dtype=np.bool_)
+    off = np.abs(wind - median_filter(wind, (NEIGHBOURS, 1), mode="reflect"))
+    usual = 1.4826 * median_filter(off, (10 * NEIGHBOURS + 1, 1), mode="reflect")
+    return np.asarray((off > SPIKE * usual + FLOOR).any(axis=1))
+
+
+def _turbulence(time: Array, wind: Array) -> Array:
+    """Return standard deviations (S, 2) of the last ten minutes: of a horizontal component, and upwards."""
+    sums = np.vstack([np.zeros(6), np.cumsum(np.hstack([wind, wind**2]), axis=0)])
+    last = np.maximum(np.arange(len(time)) + 1, np.searchsorted(time, time[0] + MINUTE, side="right"))
+    first = np.searchsorted(time, time - TURBULENCE)
+    count = np.maximum(last - first, 1)[:, np.newaxis]
+    mean, square = np.split((sums[last] - sums[first]) / count, 2, axis=1)
+    variance = np.maximum(square - mean**2, 0.0)
+    return np.sqrt(np.stack([0.5 * (variance[:, 0] + variance[:, 1]), variance[:, 2]], axis=1))
+
+
+def read_wind(options: WindFile) -> WindRecord:
+    """Return the wind of the files that the options name, or the steady one; raises ReadingsError.
+
+    Raises ConfigurationError if neither or both are given.
+    """
+    if bool(options.file) == bool(options.steady):
+        raise ConfigurationError("model 'puffs': wind needs a file with a measured wind, or steady, and not both")
+    if options.steady:
+        return steady_wind(options.steady)
+    from dafw.plugins.readings.files.any_file import read_table
+    from dafw.plugins.readings.files.screening import start_of
+
+    components = []
+    for name in (options.x, options.y, options.z):
+        columns = ColumnOptions(time=options.columns.time, value=name.removeprefix("-"))
+        table = read_table(replace(options, columns=columns))
+        components.append(table.number("value") * (-1.0 if name.startswith("-") else 1.0))
+    time = table.number("time") - start_of(table, options.start)
+    wind = np.stack(components, axis=1)
+    there = np.isfinite(time) & np.isfinite(wind).all(axis=1)
+    return of_samples(time[there], wind[there])
