@@ -26,23 +26,33 @@ def readings_command(words: Sequence[str]) -> int:
     parser.add_argument("file", help="a .csv, .nc or .geojson file, 'example', or a run (its folder or run.nc)")
     parser.add_argument("options", nargs="*", help="options of readings=recorded, such as columns.value=CO2 unit=ppm")
     parser.add_argument("--to", type=Path, metavar="FILE", help="write the rows to FILE (.csv, .nc or .geojson)")
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the readings along the way to FILE (.png)")
     asked = parser.parse_intermixed_args(words)
+    if asked.picture is not None and asked.picture.suffix.lower() != ".png":
+        raise ConfigurationError(f"readings: expected a picture's name that ends in .png, got {asked.picture}")
     from dafw.plugins.readings.files.any_file import write_table
 
     if _is_run(asked.file):
         if asked.options:
             raise ConfigurationError(f"readings: a run is read without options, got {asked.options[0]}")
+        if asked.picture is not None:
+            raise ConfigurationError("readings: --picture draws a file of readings; the pictures of a run: dafw plot")
         from dafw.plugins.readings.files.from_run import table_of_run
 
         table, origin = table_of_run(Path(asked.file))
         lines = described_rows(table)
     else:
         source = _source(asked.file, asked.options)
-        table, origin = source.rows, (source.origin[0], source.origin[1]) if source.origin else None
+        table, origin = source.rows, source.plane_origin
         lines = [*described_rows(table), *described_use(source)]
     if asked.to is not None:
         write_table(table, asked.to, origin)
         lines = [str(asked.to)]
+    if asked.picture is not None:
+        from dafw.views.files import save
+        from dafw.views.readings import plot_readings
+
+        lines.append(str(save(plot_readings(source), asked.picture)))
     print("\n".join(lines))
     return 0
 
@@ -125,8 +135,13 @@ def described_use(source: Recorded) -> list[str]:
     whole, doubled = without_doubles(whole)
     where = {"metres": "x, y", "degrees": "lon, lat", "entry": "entry", None: "none: for a variable of one number"}
     lines = ["how it would be read", f"  places    {where[kind]}"]
-    if kind == "degrees" and len(whole) and source.origin is None:
-        lines.append("            about the centre of the site, or the option origin")
+    if kind == "degrees" and len(whole):
+        about = source.plane_origin
+        lines.append(
+            "            about the centre of the site, or the option origin"
+            if about is None
+            else f"            about {about[0]:.9g}, {about[1]:.9g}"
+        )
     needed = []
     counts = {"incomplete": incomplete, "doubled": doubled}
     try:

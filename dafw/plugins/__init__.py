@@ -17,6 +17,9 @@ def dafw_plugins() -> list[PluginSpec]:
         PluginSpec("model", "lorenz96", f"{_HERE}.models.lorenz96:Lorenz96", "chaotic variables on a circle"),
         PluginSpec("model", "linear_advection", f"{_HERE}.models.linear_advection:LinearAdvection", "waves on a ring"),
         PluginSpec("model", "puffs", f"{_HERE}.models.puffs.model:Puffs", "a leak's puffs in a measured wind"),
+        PluginSpec(
+            "model", "puffs_track", f"{_HERE}.models.puffs.model_track:PuffsTrack", "the same, read by a moving sensor"
+        ),
         PluginSpec("observer", "drone", f"{_HERE}.observers.drone:Drone", "reads the nodes a vehicle passes"),
         PluginSpec("observer", "stations", f"{_HERE}.observers.stations:Stations", "reads at fixed positions"),
         PluginSpec("observer", "grid", f"{_HERE}.observers.grid:Grid", "reads fixed entries of a variable"),

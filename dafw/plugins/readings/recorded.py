@@ -26,7 +26,14 @@ from dafw.core.space import Array, StateSpace
 from dafw.plugins.observers.path import ends_of
 from dafw.plugins.readings.files.any_file import EXAMPLE, read_table
 from dafw.plugins.readings.files.options import FileOptions
-from dafw.plugins.readings.files.placing import Placed, entries_of_sensors, placed, placed_on_paths
+from dafw.plugins.readings.files.placing import (
+    Placed,
+    entries_of_sensors,
+    placed,
+    placed_on_paths,
+    plane_origin,
+    require_origin,
+)
 from dafw.plugins.readings.files.screening import (
     REASONS,
     averaged,
@@ -85,7 +92,9 @@ class Recorded(FileOptions, Readings):
     start: float | str | None = option(
         None, "what is t = 0: a time as in the file (s, or a date), or first: its first reading; null: 0 s"
     )
-    origin: list[float] | None = option(None, "[lon, lat] of the plane's (0, 0) in degrees; null: that of the site")
+    origin: list[float] | str | None = option(
+        None, "[lon, lat] of the plane's (0, 0) in degrees, or first: where the first reading is; null: the site's"
+    )
     variable: str | None = option(None, "state variable that was read; null: the first")
     unit: str | None = option(None, "unit of the values; null: what the file says, else that of the variable")
     reference: str | None = option(None, "what 1 of the variable stands for, such as '250 mg m-3'; null: its own unit")
@@ -122,12 +131,7 @@ class Recorded(FileOptions, Readings):
         return {"file": EXAMPLE, "start": 15.0}
 
     def __post_init__(self) -> None:
-        if self.origin is not None and not (
-            len(self.origin) == 2 and abs(self.origin[0]) <= 180.0 and abs(self.origin[1]) < 90.0
-        ):
-            raise ConfigurationError(
-                f"readings 'recorded': origin must be [longitude, latitude] in degrees, got {self.origin}"
-            )
+        require_origin(self.origin, "readings 'recorded'")
         if self.entries and self.paths:
             raise ConfigurationError("readings 'recorded': sensors have entries or paths, not both")
         ends_of(self.paths, "readings 'recorded'")
@@ -163,6 +167,11 @@ class Recorded(FileOptions, Readings):
         counts = dict(incomplete=incomplete, doubled=doubled, impossible=impossible, repeated=dropped, slow_start=slow)
         return Usable(table, kind, start, counts, below, repeated)
 
+    @property
+    def plane_origin(self) -> tuple[float, float] | None:
+        """The longitude and latitude of the plane's (0, 0); None: those of the site; raises ReadingsError."""
+        return plane_origin(self.rows, self.origin)
+
     def suit(self, space: StateSpace, domain: Domain | None, dt: float) -> None:
         """Read the file; raises ReadingsError if it cannot be read, or if none of its readings can be used."""
         fitted = self._fitted(space, domain)
@@ -185,13 +194,12 @@ class Recorded(FileOptions, Readings):
         usable = self.usable
         variable = space.variables[0] if self.variable is None else space[self.variable]
         values, sd = converted(usable.table, self.reference or variable.units)
-        origin = None if self.origin is None else (self.origin[0], self.origin[1])
         if self.paths:
             at = placed_on_paths(
                 usable.table, space, self.variable, ends_of(self.paths, "readings 'recorded'"), self.label
             )
         else:
-            at = placed(usable.table, usable.kind, space, domain, self.variable, origin)
+            at = placed(usable.table, usable.kind, space, domain, self.variable, self.plane_origin)
         free = ~(at.outside | at.in_building)
         table = usable.table.chosen(free)
         counts = {**usable.counts, "outside": int(at.outside.sum()), "in_building": int(at.in_building.sum())}

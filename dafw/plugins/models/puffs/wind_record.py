@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,12 @@ from dafw.core.errors import ConfigurationError
 from dafw.core.options import option
 from dafw.core.space import Array
 from dafw.plugins.readings.files.options import ColumnOptions, FileOptions
+
+if TYPE_CHECKING:
+    from dafw.plugins.readings.files.table import Table
+
+BLOWS = ("from", "to")
+"""Whether a direction says where the wind comes from or where it goes to."""
 
 SPIKE, FLOOR = 5.0, 0.3
 """Robust standard deviations, and m/s beside them, by which a spike leaves the median of its neighbours."""
@@ -47,6 +54,21 @@ class WindFile(FileOptions):
     x: str = option("wind_x", "column of the wind's component along x, m/s; with a minus before it, its negative")
     y: str = option("wind_y", "column of the component along y")
     z: str = option("wind_z", "column of the component upwards")
+    speed: str | None = option(
+        None, "column of the wind's speed, with that of its direction: instead of x and y; null: x and y are there"
+    )
+    direction: str | None = option(None, "column of the wind's direction, clockwise from north")
+    blows: str = option("from", "whether the direction is that from which the wind blows, or to", choices=BLOWS)
+    upward: float | None = option(
+        None,
+        "if no upward component was measured: the standard deviation of its fluctuations as a share of that of a "
+        "horizontal one; null: column z is there",
+        minimum=0.0,
+    )
+    starts: list[str | None] = option(
+        [],
+        "for a clock that begins again with every flight: the dates at which it showed 0, null to leave a flight out",
+    )
     start: float | str | None = option(None, "what is t = 0, as for readings=recorded: the same time")
 
 
@@ -76,10 +98,11 @@ class WindRecord:
         return np.asarray(self.turbulence[before])
 
 
-def of_samples(time: Array, wind: Array) -> WindRecord:
+def of_samples(time: Array, wind: Array, upward: float | None = None) -> WindRecord:
     """Return the record of samples: times (S,) in s, wind (S, 3) in m/s.
 
-    Raises ConfigurationError if they are of less than two times.
+    ``upward`` is the standard deviation of the upward component as a share of that of a horizontal one, where it was
+    not measured. Raises ConfigurationError if they are of less than two times.
     """
     order = np.argsort(time, kind="stable")
     time, wind = time[order], wind[order]
@@ -94,6 +117,8 @@ def of_samples(time: Array, wind: Array) -> WindRecord:
     steps = 0.5 * (means[1:, :2] + means[:-1, :2]) * np.diff(moments)[:, np.newaxis]
     steps = np.vstack([early[:2] * BEYOND, steps, late[:2] * BEYOND])
     turbulence = _turbulence(moments, means)
+    if upward is not None:
+        turbulence[:, 1] = upward * turbulence[:, 0]
     return WindRecord(
         time=np.hstack([moments[0] - BEYOND, moments, moments[-1] + BEYOND]),
         wind=np.vstack([early, means, late]),
@@ -142,15 +167,30 @@ def read_wind(options: WindFile) -> WindRecord:
         raise ConfigurationError("model 'puffs': wind needs a file with a measured wind, or steady, and not both")
     if options.steady:
         return steady_wind(options.steady)
+    if (options.speed is None) != (options.direction is None):
+        raise ConfigurationError("model 'puffs': wind.speed and wind.direction belong together, and one is missing")
+    from dafw.plugins.models.puffs.wind_words import components_of, on_the_clock
     from dafw.plugins.readings.files.any_file import read_table
     from dafw.plugins.readings.files.screening import start_of
 
-    components = []
-    for name in (options.x, options.y, options.z):
+    def table_of(name: str) -> Table:
         columns = ColumnOptions(time=options.columns.time, value=name.removeprefix("-"))
-        table = read_table(replace(options, columns=columns))
-        components.append(table.number("value") * (-1.0 if name.startswith("-") else 1.0))
-    time = table.number("time") - start_of(table, options.start)
-    wind = np.stack(components, axis=1)
+        return read_table(replace(options, columns=columns))
+
+    def component(name: str) -> Array:
+        return table_of(name).number("value") * (-1.0 if name.startswith("-") else 1.0)
+
+    if options.speed is not None and options.direction is not None:
+        table = table_of(options.speed)
+        flat = components_of(table_of(options.direction), table, options.blows)
+    else:
+        table = table_of(options.x)
+        flat = np.stack([component(options.x), component(options.y)], axis=1)
+    up = np.zeros(len(table)) if options.upward is not None else component(options.z)
+    if options.starts:
+        time = on_the_clock(table, options.starts, options.start)
+    else:
+        time = table.number("time") - start_of(table, options.start)
+    wind = np.column_stack([flat, up])
     there = np.isfinite(time) & np.isfinite(wind).all(axis=1)
-    return of_samples(time[there], wind[there])
+    return of_samples(time[there], wind[there], options.upward)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime
 from math import isfinite, isnan, nan
 from typing import Any
@@ -22,6 +22,8 @@ SYNONYMS = {"lon": ("lon", "longitude"), "lat": ("lat", "latitude")}
 BRACKETED = re.compile(r"^(.*\S)\s*[(\[]([^()\[\]]*)[)\]]$", re.DOTALL)
 SECONDS_OR_METRES = {"time": "s", "arrives": "s", "x": "m", "y": "m"}
 """Units of columns of numbers to which the file's own are converted."""
+WITH_UNIT = re.compile(r"^([-+]?[\d.,]+(?:[eE][-+]?\d+)?)\s*([^\s\d.,].*)$", re.DOTALL)
+"""A number and its unit in one cell."""
 LIMITS = {"lon": (-180.0, 360.0), "lat": (-90.0, 90.0)}
 
 
@@ -77,6 +79,7 @@ def find_columns(headers: Sequence[str], asked: ColumnOptions, path: str) -> dic
 
 def made(raw: Raw, options: FileOptions) -> Table:
     """Return the table of a file's cells; raises ReadingsError that names the row and the column of a wrong cell."""
+    raw = _split_values(raw) if options.units_in_cells else raw
     numbers: dict[str, Array] = {}
     texts: dict[str, Any] = {}
     epoch: datetime | None = None
@@ -105,6 +108,18 @@ def made(raw: Raw, options: FileOptions) -> Table:
     table = Table(raw.path, raw.word, np.array(raw.rows, dtype=np.int64), numbers, texts, epoch, raw.names, raw.others)
     _refuse_nonsense(table)
     return table
+
+
+def _split_values(raw: Raw) -> Raw:
+    """Return cells whose values were written with their units, with both in columns of their own."""
+    if "unit" in raw.cells:
+        raise about(raw.path, "units_in_cells says where units are, and there is a column of units, too")
+    values, units = [], []
+    for cell in raw.cells["value"]:
+        found = WITH_UNIT.match(cell.strip()) if isinstance(cell, str) else None
+        values.append(found[1] if found else cell)
+        units.append(found[2].strip() if found else raw.units.get("value", ""))
+    return replace(raw, cells={**raw.cells, "value": values, "unit": units})
 
 
 def _place(raw: Raw, role: str) -> Any:

@@ -67,3 +67,4 @@ class FileOptions:
     missing: list[str] = option(
         ["nan", "na", "n/a", "null", "none", "-", "--"], "words that stand for a missing number, beside the empty cell"
     )
+    units_in_cells: bool = option(False, "whether every value has its unit behind it, in its own cell: 2.10 m/s, 203°")

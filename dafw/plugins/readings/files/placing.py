@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dafw.core.domain import Domain
+from dafw.core.errors import ConfigurationError
 from dafw.core.geography import to_metres
 from dafw.core.interpolation import weights_at
 from dafw.core.space import Array, IntArray, StateSpace, Variable
@@ -29,6 +30,32 @@ class Placed:
     coordinates: Array | None
     outside: NDArray[np.bool_]
     in_building: NDArray[np.bool_]
+
+
+def require_origin(origin: Sequence[float] | str | None, label: str) -> None:
+    """Raise ConfigurationError, which begins with ``label``, for an option ``origin`` that says no place."""
+    if origin is None or origin == "first":
+        return
+    if isinstance(origin, str) or len(origin) != 2 or abs(origin[0]) > 180.0 or abs(origin[1]) >= 90.0:
+        raise ConfigurationError(f"{label}: origin must be [longitude, latitude] in degrees, or first, got {origin}")
+
+
+def plane_origin(table: Table, origin: Sequence[float] | str | None) -> tuple[float, float] | None:
+    """Return the longitude and latitude of the plane's (0, 0) that an option ``origin`` says; None: the site's.
+
+    ``first`` is the place of the earliest row; of rows of the same time, that of the first. Raises ReadingsError if no
+    row has a time, a longitude and a latitude.
+    """
+    if origin is None:
+        return None
+    if not isinstance(origin, str):
+        return float(origin[0]), float(origin[1])
+    lon, lat, time = (table.number(role) for role in ("lon", "lat", "time"))
+    there = np.flatnonzero(np.isfinite(lon) & np.isfinite(lat) & np.isfinite(time))
+    if not there.size:
+        raise table.error("origin=first needs a reading with a time, a longitude and a latitude, and there is none")
+    row = there[np.argmin(time[there])]
+    return float(lon[row]), float(lat[row])
 
 
 def placed(
@@ -57,7 +84,7 @@ def placed(
         if about is None:
             raise table.error(
                 "its places are longitudes and latitudes, and the model's plane has no place on Earth: expected the "
-                "option origin, [longitude, latitude] of (0, 0)"
+                "option origin, [longitude, latitude] of (0, 0), or first"
             )
         points = to_metres(np.stack([table.number("lon"), table.number("lat")], axis=1), about)
     outside, in_building = none, none

@@ -1,0 +1,84 @@
+"""Readings of a file: a map of what was read along the way, and the same over time."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from dafw.core.geography import to_metres
+from dafw.plugins.readings.files.placing import plane_origin
+from dafw.plugins.readings.files.table import Table
+from dafw.views.style import FREE_COLOUR, colour_scale, new_figure, time_axis
+
+if TYPE_CHECKING:
+    from dafw.plugins.readings.recorded import Recorded
+
+PAUSE = 120.0
+"""Seconds without a reading after which another map begins."""
+MOST = 4
+"""Maps that are drawn at most; the last one has all that is left."""
+
+
+def places_in_metres(table: Table, kind: str | None, origin: tuple[float, float] | None) -> np.ndarray:
+    """Return places (R, 2) in m; raises ReadingsError if readings have none."""
+    if kind == "metres":
+        return np.stack([table.number("x"), table.number("y")], axis=1)
+    if kind != "degrees" or origin is None:
+        raise table.error("a map needs columns x and y, or lon and lat")
+    return to_metres(np.stack([table.number("lon"), table.number("lat")], axis=1), origin)
+
+
+def parts_of(time: np.ndarray) -> list[np.ndarray]:
+    """Return the indices of ascending times (R,) in parts, between which there are pauses."""
+    longest = np.sort(np.flatnonzero(np.diff(time) > PAUSE))[: MOST - 1]
+    return [part for part in np.split(np.arange(len(time)), longest + 1) if part.size]
+
+
+def plot_readings(source: Recorded) -> Figure:
+    """Draw the readings that a study could use, less their background: maps, one for each part, and curves over time.
+
+    Places are metres about the option ``origin``; without it, about the place of the first reading. Raises
+    ReadingsError if the file cannot be used, or if its readings have no places in the plane.
+    """
+    usable = source.usable
+    table = usable.table
+    if not len(table):
+        raise source.rows.error("there are no readings to draw")
+    about = source.plane_origin
+    if usable.kind == "degrees" and about is None:
+        about = plane_origin(source.rows, "first")
+    places = places_in_metres(table, usable.kind, about)
+    value, time = table.number("value"), table.number("time")
+    scale = colour_scale(np.maximum(value, 0.0), float(np.percentile(value, 99.0)), value)
+    parts = parts_of(time)
+    figure = new_figure(3.1 * len(parts) + 1.6, 6.0)
+    panels = figure.subplot_mosaic([[f"{n}" for n in range(len(parts))], ["time"] * len(parts)], height_ratios=[2, 1])
+    low, high = places.min(axis=0), places.max(axis=0)
+    edge = 0.04 * max(float((high - low).max()), 1.0)
+    for number, part in enumerate(parts):
+        axes = panels[f"{number}"]
+        axes.plot(*places[part].T, color="0.8", linewidth=0.8, zorder=1)
+        rows = part[np.argsort(value[part], kind="stable")]  # the highest on top
+        dots = axes.scatter(*places[rows].T, c=value[rows], s=16, linewidths=0.2, edgecolors="0.4", **scale.keywords)
+        axes.set_title(f"t = {time[part[0]]:.0f} to {time[part[-1]]:.0f} s", fontsize=10)
+        axes.set_aspect("equal")
+        axes.set_xlim(low[0] - edge, high[0] + edge)
+        axes.set_ylim(low[1] - edge, high[1] + edge)
+        axes.set_xlabel("x (m)")
+    panels["0"].set_ylabel("y (m)")
+    said = _named(source)
+    figure.colorbar(dots, ax=[panels[f"{n}"] for n in range(len(parts))], label=said, extend=scale.extend)
+    for part in parts:
+        panels["time"].scatter(time[part], value[part], c=value[part], s=5, **scale.keywords, edgecolors="none")
+        panels["time"].plot(time[part], value[part], color=FREE_COLOUR, linewidth=0.4, zorder=1)
+    time_axis(panels["time"], time, "s")
+    panels["time"].set_ylabel(said)
+    return figure
+
+
+def _named(source: Recorded) -> str:
+    """Return what the values are, for an axis."""
+    name = source.rows.names.get("value", "value")
+    return name if not source.background else f"{name}\nless {source.background:g}"
