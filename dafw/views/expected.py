@@ -18,7 +18,9 @@ if TYPE_CHECKING:
 
 def has_expected(run: Dataset) -> bool:
     """Return whether the filter told what it expected of every sensor."""
-    return {"filter_expected", "observation_sensor", "sensor_name"} <= set(run.variables)
+    if "filter_expected" not in run.variables:
+        return False
+    return {"observation_sensor", "sensor_name"} <= set(run.variables) or len(sensors_expected(run)) == 1
 
 
 def sensors_expected(run: Dataset) -> list[str]:
@@ -28,7 +30,10 @@ def sensors_expected(run: Dataset) -> list[str]:
 
 
 def read_by(run: Dataset, sensor: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return the row and the value of all readings of a sensor, both (m,)."""
+    """Return the row and the value of all readings of a sensor, both (m,); all of a run without names of sensors."""
+    if "sensor_name" not in run.variables:
+        rows, columns = np.nonzero(np.isfinite(run["observation_value"].values))
+        return rows, run["observation_value"].values[rows, columns]
     names = [str(name) for name in run["sensor_name"].values]
     if sensor not in names:
         return np.empty(0, dtype=int), np.empty(0)

@@ -5,12 +5,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
 
 from dafw.core.geography import to_metres
 from dafw.plugins.readings.files.placing import plane_origin
 from dafw.plugins.readings.files.table import Table
-from dafw.views.style import FREE_COLOUR, colour_scale, new_figure, time_axis
+from dafw.views.style import BELIEF_COLOUR, colour_scale, new_figure, time_axis
 
 if TYPE_CHECKING:
     from dafw.plugins.readings.recorded import Recorded
@@ -54,27 +55,25 @@ def plot_readings(source: Recorded) -> Figure:
     scale = colour_scale(np.maximum(value, 0.0), float(np.percentile(value, 99.0)), value)
     parts = parts_of(time)
     figure = new_figure(3.1 * len(parts) + 1.6, 6.0)
-    panels = figure.subplot_mosaic([[f"{n}" for n in range(len(parts))], ["time"] * len(parts)], height_ratios=[2, 1])
+    maps, curves = figure.subplots(2, len(parts), squeeze=False, height_ratios=[2, 1])
     low, high = places.min(axis=0), places.max(axis=0)
     edge = 0.04 * max(float((high - low).max()), 1.0)
-    for number, part in enumerate(parts):
-        axes = panels[f"{number}"]
+    for part, axes, below in zip(parts, maps, curves, strict=True):
         axes.plot(*places[part].T, color="0.8", linewidth=0.8, zorder=1)
         rows = part[np.argsort(value[part], kind="stable")]  # the highest on top
-        dots = axes.scatter(*places[rows].T, c=value[rows], s=16, linewidths=0.2, edgecolors="0.4", **scale.keywords)
-        axes.set_title(f"t = {time[part[0]]:.0f} to {time[part[-1]]:.0f} s", fontsize=10)
+        x, y = places[rows].T
+        axes.scatter(x, y, s=16, c=value[rows], cmap=scale.colours, norm=scale.norm, linewidths=0.2, edgecolors="0.4")
         axes.set_aspect("equal")
         axes.set_xlim(low[0] - edge, high[0] + edge)
         axes.set_ylim(low[1] - edge, high[1] + edge)
         axes.set_xlabel("x (m)")
-    panels["0"].set_ylabel("y (m)")
+        below.plot(time[part], value[part], color=BELIEF_COLOUR, linewidth=0.9)
+        below.set_ylim(value.min(), value.max())
+        time_axis(below, time[part], "s")
+    maps[0].set_ylabel("y (m)")
     said = _named(source)
-    figure.colorbar(dots, ax=[panels[f"{n}"] for n in range(len(parts))], label=said, extend=scale.extend)
-    for part in parts:
-        panels["time"].scatter(time[part], value[part], c=value[part], s=5, **scale.keywords, edgecolors="none")
-        panels["time"].plot(time[part], value[part], color=FREE_COLOUR, linewidth=0.4, zorder=1)
-    time_axis(panels["time"], time, "s")
-    panels["time"].set_ylabel(said)
+    curves[0].set_ylabel(said)
+    figure.colorbar(ScalarMappable(scale.norm, scale.colours), ax=maps, label=said, extend=scale.extend)
     return figure
 
 

@@ -27,13 +27,13 @@ from dafw.core.options import REQUIRED, option
 from dafw.core.priors import Prior
 from dafw.core.rng import MemberStreams
 from dafw.core.sharing import Shared
-from dafw.core.space import FIELD, POSITIVE, Array, Variable
+from dafw.core.space import FIELD, POSITIVE, Array, Kind, Variable
 from dafw.plugins.models.puffs.wind_record import WindFile
 
 if TYPE_CHECKING:
     from dafw.plugins.models.puffs.wind_record import WindRecord
 
-UNKNOWN = {
+UNKNOWN: Mapping[str, tuple[Kind, str]] = {
     "release_x": (FIELD, "m"),
     "release_y": (FIELD, "m"),
     "rate": (POSITIVE, "g s-1"),
@@ -83,7 +83,7 @@ class Leak(Model):
     The state begins with ``readings`` entries, numbers that sensors read; the unknown numbers follow.
     """
 
-    unknown: ClassVar[Mapping[str, tuple[str, str]]] = UNKNOWN
+    unknown: ClassVar[Mapping[str, tuple[Kind, str]]] = UNKNOWN
     usual: ClassVar[Mapping[str, Mapping[str, Any]]] = PRIORS
 
     area: list[float] = option(REQUIRED, "where the leak may be: [x_min, y_min, x_max, y_max] in metres")

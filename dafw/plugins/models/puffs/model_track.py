@@ -24,7 +24,7 @@ import numpy as np
 from dafw.core.domain import Domain
 from dafw.core.options import option
 from dafw.core.rng import MemberStreams
-from dafw.core.space import NONNEGATIVE, POSITIVE, Array, StateSpace, Variable
+from dafw.core.space import NONNEGATIVE, POSITIVE, Array, Kind, StateSpace, Variable
 from dafw.plugins.models.puffs.leak import PRIORS, UNKNOWN, Leak
 from dafw.plugins.models.puffs.track import Track, TrackFile, read_track
 
@@ -33,7 +33,7 @@ from dafw.plugins.models.puffs.track import Track, TrackFile, read_track
 class PuffsTrack(Leak):
     """What a moving sensor with a slow response reads of a leak of unknown place and rate in a measured wind."""
 
-    unknown: ClassVar[Mapping[str, tuple[str, str]]] = {**UNKNOWN, "response_time": (POSITIVE, "s")}
+    unknown: ClassVar[Mapping[str, tuple[Kind, str]]] = {**UNKNOWN, "response_time": (POSITIVE, "s")}
     usual: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         **PRIORS,
         "response_time": {"name": "lognormal", "mean": 10.0, "sd": 0.5},
