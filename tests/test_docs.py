@@ -99,6 +99,11 @@ REDUCED = {
         "the default study: a basis of four winds",
     ),
     r"^dafw run (?=experiment=chilbolton)": ("dafw run --cfg job ", "the data are not shipped: composed and shown"),
+    r"^dafw run (?=experiment=drone_log .*/data/)": ("dafw run --cfg job ", "the data are not shipped"),
+    r"^dafw run experiment=drone_log (?!.*/data/).*$": (
+        r"\g<0> model.moments=6 filter.sweeps=1 pictures=false",
+        "few moments, few moves",
+    ),
     r"python -m benchmarks\.chilbolton.*$": (f"{BENCHMARKS}.chilbolton --help", "the data are not shipped"),
     r"^dafw run experiment=recorded.*$": (rf"\g<0> {COARSE} {BASIS}", "some 300 nodes, three members, one cycle"),
     FLAGSHIP: (rf"\g<0> {COARSE}", "some 300 nodes, three members, one cycle"),

@@ -95,3 +95,11 @@ def test_a_run_without_them_is_refused():
         plot_places(made_run().drop_vars("release_x_members"))
     with pytest.raises(RunError, match="a filter with backgrounds"):
         plot_expected(made_run().drop_vars("filter_expected"))
+
+
+def test_a_sensor_without_a_name_is_expected_too():
+    run = made_run().drop_vars(["observation_sensor", "sensor_name"]).isel(n=[0])
+    run["filter_expected"].attrs["long_name"] = "what was expected of the sensors 0"
+    (axes,) = plot_expected(run).axes
+    (dots,) = [line for line in axes.get_lines() if line.get_gid() == "read"]
+    np.testing.assert_array_equal(dots.get_ydata(), [7.0, 8.0, 9.0])
