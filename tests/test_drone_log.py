@@ -18,7 +18,9 @@ CONF = Path(__file__).parents[1] / "conf" / "experiment" / "drone_log.yaml"
 DATA = Path(__file__).parents[2] / "shared" / "data" / "drone_co2"
 MISSING = pytest.mark.skipif(not DATA.is_dir(), reason=f"the recorded log is not shipped; it would be in {DATA}")
 START = datetime(2022, 12, 12, 10, 12, 30)
-MINUTES, PLACE, RATE = 12, (-40.0, -20.0), 300.0
+MINUTES, RATE = 12, 300.0
+PLACE = (50.0, -30.0)
+"""Metres from where the drone is first seen."""
 HOME = (5.934298, 53.327892)
 HEAD = 'TimeStamp (UTC)," ""TriggerID"""," ""Latitude"""," ""Longitude"""," ""Altitude (Meter AGL)""",CO2 (ppm)\n'
 READ = ["columns.time=TimeStamp", "columns.value=CO2", "time_format='UTC %y%m%d %H%M%S*'", "start=first"]
@@ -84,9 +86,6 @@ def made(tmp_path_factory):
     truth = {"release_x": PLACE[0], "release_y": PLACE[1], "rate": RATE, **shape, "response_time": 10.0}
     group = filled(options["model"], options)
     group["wind"] |= {"file": str(wind), "starts": ["2022-12-12T10:12:30Z"]}
-    # The files' plane begins where the drone is first seen, one second after the start.
-    here = track(np.array([1.0]))[0, :2]
-    group["track"]["origin"] = list(to_degrees(here, HOME))
     model = PuffsTrack.from_options(**group | {"dt": 1.0, "moments": 1}, truth=truth)
     members, shown = np.append([0.0, 0.0], list(truth.values()))[np.newaxis], []
     for second in range(60 * MINUTES):

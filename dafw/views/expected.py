@@ -16,6 +16,10 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
 
+DROPPED = 2
+"""The flag of ``observation_use`` of readings that the filter was not given, such as those from before the start."""
+
+
 def has_expected(run: Dataset) -> bool:
     """Return whether the filter told what it expected of every sensor."""
     if "filter_expected" not in run.variables:
@@ -30,15 +34,22 @@ def sensors_expected(run: Dataset) -> list[str]:
 
 
 def read_by(run: Dataset, sensor: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return the row and the value of all readings of a sensor, both (m,); all of a run without names of sensors."""
-    if "sensor_name" not in run.variables:
-        rows, columns = np.nonzero(np.isfinite(run["observation_value"].values))
-        return rows, run["observation_value"].values[rows, columns]
-    names = [str(name) for name in run["sensor_name"].values]
-    if sensor not in names:
-        return np.empty(0, dtype=int), np.empty(0)
-    rows, columns = np.nonzero(run["observation_sensor"].values == names.index(sensor))
-    return rows, run["observation_value"].values[rows, columns]
+    """Return the row and the value of a sensor's readings that were not dropped, both (m,).
+
+    In a run without names of sensors these are all readings.
+    """
+    values = run["observation_value"].values
+    if "sensor_name" in run.variables:
+        names = [str(name) for name in run["sensor_name"].values]
+        if sensor not in names:
+            return np.empty(0, dtype=int), np.empty(0)
+        its = run["observation_sensor"].values == names.index(sensor)
+    else:
+        its = np.isfinite(values)
+    if "observation_use" in run.variables:
+        its = its & (run["observation_use"].values != DROPPED)
+    rows, columns = np.nonzero(its)
+    return rows, values[rows, columns]
 
 
 def plot_expected(run: Dataset) -> Figure:

@@ -8,6 +8,7 @@ import xarray as xr
 
 from dafw.core.errors import RunError
 from dafw.views import plot_expected, plot_places
+from dafw.views.expected import read_by
 from dafw.views.places import density, probability_within, rows_shown
 
 RNG = np.random.default_rng(3)
@@ -103,3 +104,11 @@ def test_a_sensor_without_a_name_is_expected_too():
     (axes,) = plot_expected(run).axes
     (dots,) = [line for line in axes.get_lines() if line.get_gid() == "read"]
     np.testing.assert_array_equal(dots.get_ydata(), [7.0, 8.0, 9.0])
+
+
+def test_dropped_readings_are_not_drawn():
+    run = made_run()
+    run["observation_use"] = ("time", "observation"), np.zeros(run["observation_value"].shape, dtype=np.int8)
+    run["observation_use"][1] = 2
+    everything = [read_by(run, name)[1].tolist() for name in ("left", "right")]
+    assert everything in ([[9.0], []], [[], [9.0]])
