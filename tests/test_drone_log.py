@@ -13,6 +13,7 @@ import dafw
 from dafw.commands import main
 from dafw.core.geography import to_degrees
 from dafw.plugins.models.puffs.model_track import PuffsTrack
+from dafw.views.places import probability_within
 
 CONF = Path(__file__).parents[1] / "conf" / "experiment" / "drone_log.yaml"
 DATA = Path(__file__).parents[2] / "shared" / "data" / "drone_co2"
@@ -102,14 +103,17 @@ def made(tmp_path_factory):
 
 
 def test_a_made_leak_is_found_in_its_log(made, tmp_path):
-    more = {"members": 100, "model.moments": 10, "cycles": MINUTES, "filter.steps": 40000} | STARTS
+    """Its sensor does not swing with the way of the flight, so that means over ten seconds may be used."""
+    more = {"members": 100, "model.moments": 10, "readings.averaging": 10, "cycles": 6 * MINUTES} | STARTS
     run = dafw.run(words(*made, tmp_path, **more))
     weight = run["weight"].values[-1]
     place = np.array([weight @ run[f"release_{axis}_members"].values[-1] for axis in "xy"])
-    assert np.linalg.norm(place - PLACE) < 40.0  # of an area of 400 m x 400 m
+    assert abs(place[0] - PLACE[0]) < 25.0  # across the wind; along it, place, rate and growth are hard to tell apart
+    assert place[1] < 0.0  # upwind of all that was flown over
+    assert probability_within(run, -1, np.array(PLACE)) < 0.99
     assert (Path(run.attrs["folder"]) / "figures" / "expected.png").is_file()
-    again = dafw.run(words(*made, tmp_path / "again", **more | {"cycles": 4, "pictures": "false"}))
-    np.testing.assert_array_equal(again["release_x_members"].values, run["release_x_members"].values[:5])
+    again = dafw.run(words(*made, tmp_path / "again", **more | {"cycles": 12, "pictures": "false"}))
+    np.testing.assert_array_equal(again["release_x_members"].values, run["release_x_members"].values[:13])
 
 
 def test_the_log_is_described_and_drawn(made, tmp_path, capsys):
