@@ -40,12 +40,18 @@ def ends_of(given: Any, label: str) -> dict[str, Array]:
 def line_means(variable: Variable, lines: Sequence[Array], label: str) -> tuple[IntArray, Array]:
     """Return entries of a variable in the plane, and weights, both (lines, k), of its means along lines (2, 2).
 
-    Rows are filled up with zeros. Raises ConfigurationError that begins with ``label`` if a line leaves the mesh.
+    Rows are filled up with zeros. Raises ConfigurationError that begins with ``label`` if a line leaves the mesh,
+    or if there can be none.
     """
     nodes, triangles = np.asarray(variable.coordinates), variable.triangles
     if triangles is None:
         from matplotlib.tri import Triangulation
 
+        if np.linalg.matrix_rank(nodes - nodes[0]) < 2:
+            raise ConfigurationError(
+                f"{label}: the {len(nodes)} places of '{variable.name}' lie on a line, so they have no triangles for a "
+                "mean along a path"
+            )
         triangles = Triangulation(*nodes.T).triangles
     parts = []
     for start, end in lines:

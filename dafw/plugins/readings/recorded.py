@@ -86,7 +86,7 @@ class Fitted:
 
 
 @dataclass
-class Recorded(FileOptions, Readings):
+class Recorded(SensorOptions, FileOptions, Readings):
     """Readings from a file."""
 
     start: float | str | None = option(
@@ -101,11 +101,6 @@ class Recorded(FileOptions, Readings):
     repeated: str = option(
         "keep", "several readings of a sensor at one time: keep them, the first, or their mean", choices=REPEATED
     )
-    sd: float | None = option(
-        None, "standard deviation of the error of readings for which the file has none", above=0.0
-    )
-    relative_sd: float = option(0.0, "another part of the error, as a share of the value less background", minimum=0.0)
-    background: float = option(0.0, "subtracted from every value, in the unit of the file")
     lowest: float | None = option(None, "values below it, in the unit of the file, cannot be and are left out")
     highest: float | None = option(None, "values above it cannot be and are left out")
     averaging: float | None = option(
@@ -117,10 +112,6 @@ class Recorded(FileOptions, Readings):
     paths: dict[str, Any] = option(
         {}, "by sensor: the line along which it reads the mean of the variable, [[x, y], [x, y]] in metres"
     )
-    detection_limit: float | None = option(
-        None, "of a value (less background) below it is only known that it lies between 0 and this", above=0.0
-    )
-    response_time: float = option(0.0, "time constant with which sensors follow what they meet, s", minimum=0.0)
     sensors: dict[str, Any] = option(
         {}, "by sensor: a mapping with its own sd, relative_sd, background, detection_limit, response_time"
     )
@@ -157,8 +148,7 @@ class Recorded(FileOptions, Readings):
         table, doubled = without_doubles(table)
         table, impossible = possible(table, self.lowest, self.highest)
         start = start_of(table, self.start)
-        common = SensorOptions(self.sd, self.relative_sd, self.background, self.detection_limit, self.response_time)
-        sensors = sensors_of(table, common, self.sensors, "readings 'recorded'")
+        sensors = sensors_of(table, self, self.sensors, "readings 'recorded'")
         table = with_errors(in_study_time(table, start), sensors)
         table, repeated = without_repeats(averaged(table, self.averaging), self.repeated)
         table, slow = undone_response(table, sensors)

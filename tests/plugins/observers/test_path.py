@@ -44,6 +44,12 @@ def test_the_mesh_of_a_model_is_used():
     assert operator.apply(members)[0, 0] == pytest.approx(line.mean(axis=0) @ [0.5, 2.0], rel=1e-9)
 
 
+def test_places_on_a_line_have_no_means_along_paths():
+    space = StateSpace([Variable("concentration", 5, coordinates=np.arange(10.0).reshape(5, 2))])
+    with pytest.raises(ConfigurationError, match="the 5 places of 'concentration' lie on a line"):
+        Path(paths=LINES).suit(space, 1.0)
+
+
 @pytest.mark.parametrize(
     ("paths", "said"),
     [

@@ -17,7 +17,7 @@ middle, L / 2, and the variance of a uniform distribution, L^2 / 12, is added to
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -31,13 +31,13 @@ REPEATED = ("keep", "first", "mean")
 
 @dataclass
 class SensorOptions:
-    """A sensor's errors, in the unit of the file."""
+    """The errors of a sensor, in the unit of the file; of all sensors, where they have no options of their own."""
 
     sd: float | None = option(
         None, "standard deviation of the error of readings for which the file has none", above=0.0
     )
     relative_sd: float = option(0.0, "another part of the error, as a share of the value less background", minimum=0.0)
-    background: float = option(0.0, "subtracted from every value")
+    background: float = option(0.0, "subtracted from every value, in the unit of the file")
     detection_limit: float | None = option(
         None, "of a value (less background) below it is only known that it lies between 0 and this", above=0.0
     )
@@ -50,7 +50,7 @@ def sensors_of(table: Table, common: SensorOptions, own: Mapping[str, Any], wher
     for name in own:
         if name not in names:
             raise table.error(f"no sensor '{name}' (there are: {', '.join(names) or 'none'})")
-    shared = asdict(common)
+    shared = {one.name: getattr(common, one.name) for one in fields(SensorOptions)}
     return {name: build(SensorOptions, shared | dict(own.get(name, {})), f"{where}, sensor '{name}'") for name in names}
 
 
