@@ -30,7 +30,7 @@ SIDES = ("from", "to")
 """Landmarks of a path NAME are its ends, ``NAME from`` and ``NAME to``."""
 
 
-@dataclass
+@dataclass(kw_only=True)  # an option that must be given follows the base's, which have defaults
 class Puffs(Leak):
     """What open paths read of a leak of unknown place and rate in a measured wind."""
 
