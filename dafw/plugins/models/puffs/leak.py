@@ -97,6 +97,7 @@ class Leak(Model):
     truth: dict[str, float] = option({}, "numbers of the state that are known exactly, by name; for a twin")
 
     _shared: Shared = field(default_factory=Shared, init=False, repr=False, compare=False)
+    _kept: dict[float, tuple[Array, Array]] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
     def named(self) -> str:
@@ -181,6 +182,11 @@ class Leak(Model):
         parts = [prior.log_density(numbers[:, column]) for column, prior in enumerate(self._priors.values())]
         return np.sum(parts, axis=0)
 
+    def _numbers(self, members: Array) -> tuple[Array, Array, Array, list[Array]]:
+        """Return the unknown numbers of members (N, n): places (N, 2), rates (N,), six of a puff (N, 6), any others."""
+        x, y, rate, *others = members[:, -len(self.unknown) :].T
+        return np.stack([x, y], axis=1), rate, np.stack(others[:6], axis=1), others[6:]
+
     @cached_property
     def _ages(self) -> tuple[Array, Array]:
         from dafw.plugins.models.puffs.path_means import ages_to
@@ -200,7 +206,6 @@ class Leak(Model):
 
     def _inputs(self, t: float) -> tuple[Array, Array]:
         """Return ``_step_inputs``, kept, because every re-run asks for those of all steps."""
-        kept: dict[float, tuple[Array, Array]] = self.__dict__.setdefault("_kept", {})
-        if t not in kept:
-            kept[t] = self._step_inputs(t)
-        return kept[t]
+        if t not in self._kept:
+            self._kept[t] = self._step_inputs(t)
+        return self._kept[t]

@@ -79,10 +79,10 @@ class Puffs(Leak):
         p = len(self._lines)
         ages, lengths = self._ages
         carried, turbulence = self._inputs(t)
-        x, y, rate, *shape = (members[:, p + column] for column in range(len(self.unknown)))
+        places, rate, shapes, _ = self._numbers(members)
         means = path_means(
-            np.stack([x, y], axis=1),
-            np.stack(shape, axis=1),
+            places,
+            shapes,
             carried,
             turbulence,
             ages,

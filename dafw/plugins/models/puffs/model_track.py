@@ -89,10 +89,10 @@ class PuffsTrack(Leak):
 
         ages, lengths = self._ages
         carried, turbulence = self._inputs(t)
-        x, y, rate, *shape, response = (members[:, 2 + column] for column in range(len(self.unknown)))
+        places, rate, shapes, (response,) = self._numbers(members)
         met = point_levels(
-            np.stack([x, y], axis=1),
-            np.stack(shape, axis=1),
+            places,
+            shapes,
             carried,
             turbulence,
             ages,
