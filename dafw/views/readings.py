@@ -8,8 +8,7 @@ import numpy as np
 from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
 
-from dafw.core.geography import to_metres
-from dafw.plugins.readings.files.placing import plane_origin
+from dafw.plugins.readings.files.placing import in_plane, plane_origin
 from dafw.plugins.readings.files.table import Table
 from dafw.views.style import BELIEF_COLOUR, colour_scale, new_figure, time_axis
 
@@ -25,10 +24,10 @@ MOST = 4
 def places_in_metres(table: Table, kind: str | None, origin: tuple[float, float] | None) -> np.ndarray:
     """Return places (R, 2) in m; raises ReadingsError if readings have none."""
     if kind == "metres":
-        return np.stack([table.number("x"), table.number("y")], axis=1)
+        return in_plane(table, None)
     if kind != "degrees" or origin is None:
         raise table.error("a map needs columns x and y, or lon and lat")
-    return to_metres(np.stack([table.number("lon"), table.number("lat")], axis=1), origin)
+    return in_plane(table, origin)
 
 
 def parts_of(time: np.ndarray) -> list[np.ndarray]:

@@ -14,7 +14,7 @@ from dafw.core.errors import ConfigurationError
 from dafw.core.options import option
 from dafw.core.space import Array
 from dafw.plugins.readings.files.options import FileOptions
-from dafw.plugins.readings.files.placing import plane_origin, require_origin
+from dafw.plugins.readings.files.placing import in_plane, plane_origin, require_origin
 
 
 @dataclass
@@ -60,7 +60,6 @@ def read_track(options: TrackFile, label: str) -> Track:
     if options.points:
         rows = _listed(options.points, label)
         return of_rows(rows[:, 0], rows[:, 1:])
-    from dafw.core.geography import to_metres
     from dafw.plugins.readings.files.any_file import read_table
     from dafw.plugins.readings.files.screening import start_of
 
@@ -71,9 +70,9 @@ def read_track(options: TrackFile, label: str) -> Track:
         origin = plane_origin(table, options.origin)
         if origin is None:
             raise table.error("its places are longitudes and latitudes: expected the option origin, or origin=first")
-        flat = to_metres(np.stack([table.number("lon"), table.number("lat")], axis=1), origin)
+        flat = in_plane(table, origin)
     elif kind == "metres":
-        flat = np.stack([table.number("x"), table.number("y")], axis=1)
+        flat = in_plane(table, None)
     else:
         raise table.error("a track needs columns x and y, or lon and lat")
     time = table.number("time") - start_of(table, options.start)

@@ -58,6 +58,13 @@ def plane_origin(table: Table, origin: Sequence[float] | str | None) -> tuple[fl
     return float(lon[row]), float(lat[row])
 
 
+def in_plane(table: Table, origin: tuple[float, float] | None) -> Array:
+    """Return the places (R, 2) in m: of longitudes and latitudes about an origin; None: the columns x and y."""
+    if origin is None:
+        return np.stack([table.number("x"), table.number("y")], axis=1)
+    return to_metres(np.stack([table.number("lon"), table.number("lat")], axis=1), origin)
+
+
 def placed(
     table: Table,
     kind: str | None,
@@ -77,16 +84,13 @@ def placed(
     if kind in (None, "entry"):
         indices, weights = _entries(table, kind, variable)
         return Placed(indices + start, weights, None, none, none)
-    if kind == "metres":
-        points = np.stack([table.number("x"), table.number("y")], axis=1)
-    else:
-        about = origin if origin is not None or domain is None else domain.origin
-        if about is None:
-            raise table.error(
-                "its places are longitudes and latitudes, and the model's plane has no place on Earth: expected the "
-                "option origin, [longitude, latitude] of (0, 0), or first"
-            )
-        points = to_metres(np.stack([table.number("lon"), table.number("lat")], axis=1), about)
+    about = origin if origin is not None or domain is None else domain.origin
+    if kind == "degrees" and about is None:
+        raise table.error(
+            "its places are longitudes and latitudes, and the model's plane has no place on Earth: expected the "
+            "option origin, [longitude, latitude] of (0, 0), or first"
+        )
+    points = in_plane(table, about if kind == "degrees" else None)
     outside, in_building = none, none
     if domain is not None:
         outside = ~domain.are_inside(points)
