@@ -1,0 +1,56 @@
+// The command, the tables, the configuration, and how exact the page is.
+
+import { element } from "./dom.js";
+import { tickLabel, withUnits } from "./format.js";
+
+/** Fill the last section of the page. */
+export function showWords(data) {
+  const room = document.querySelector("#words .words");
+  const { words } = data;
+  room.append(words.command ? command(words.command) : element("p", { class: "wide" }, ["This run was started from Python: no command repeats it."]));
+  for (const { title, rows } of words.tables) {
+    const lines = rows.map(([name, value]) => element("tr", {}, [element("th", { scope: "row" }, [name]), element("td", {}, [value])]));
+    room.append(element("table", {}, [element("caption", {}, [title]), element("tbody", {}, lines)]));
+  }
+  if (words.configuration) {
+    const text = element("pre", { tabindex: "0" }, [words.configuration]);
+    room.append(element("details", { class: "wide" }, [element("summary", {}, ["Configuration"]), text]));
+  }
+  const notes = exactness(data);
+  if (notes) room.append(element("p", { class: "wide hint", id: "exactness" }, [notes]));
+}
+
+function command(text) {
+  const shown = element("pre", { tabindex: "0", id: "command" }, [text]);
+  const button = element("button", { type: "button" }, ["Copy"]);
+  button.addEventListener("click", async () => {
+    // A page that was opened from a disk may not be allowed to copy; then the text is selected.
+    getSelection().selectAllChildren(shown);
+    try {
+      await navigator.clipboard.writeText(text);
+      button.textContent = "Copied";
+    } catch {
+      button.textContent = "Selected";
+    }
+  });
+  const line = element("div", { class: "line" }, [element("h3", {}, ["The command that repeats this run"]), button]);
+  return element("div", { class: "wide command" }, [line, shown]);
+}
+
+/** Say how much the page's numbers differ from those of the run's file. */
+function exactness({ fields, time, variable }) {
+  if (!fields) return "";
+  const shown = fields.panels.filter(({ key }) => !key.startsWith("smoothed"));
+  const errors = shown.map(({ title, error }) => `${title.toLowerCase()} ${withUnits(error, variable.units)}`);
+  const bits = fields.panels[0].bits;
+  const rows = fields.rows.length === time.values.length ? "" : ` Fields are shown for ${fields.rows.length} of ${time.values.length} times.`;
+  return `Fields of ${variable.name} are rounded to ${bits} bits; at most they are off by: ${errors.join(", ")}.${rows} Curves have six digits.`;
+}
+
+/** Return the line under the title. */
+export function subtitle(data) {
+  const { words, seed, name, time } = data;
+  const end = time.values[time.values.length - 1];
+  const parts = [name, seed === "" ? "" : `seed ${seed}`, words.status, `${tickLabel(end)} ${time.units}`];
+  return [parts.filter((part) => part).join(" · "), words.error].filter((part) => part).join(": ");
+}
