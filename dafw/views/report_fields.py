@@ -19,12 +19,13 @@ def packed_fields(fields: Mapping[str, np.ndarray]) -> tuple[dict[str, Any], int
     The finest of these that fits into ``LARGEST`` is chosen: all rows at 16 bits, all at 8 bits, every second, fourth,
     ... row at 8 bits, with the last row in any case. Each field has one scale, from its smallest to its largest value.
     """
+    count = max((len(values) for values in fields.values()), default=0)
     for bits, every in _choices():
-        rows = kept_rows(max((len(values) for values in fields.values()), default=0), every)
+        rows = kept_rows(count, every)
         if bits == 16 and 2 * sum(values.size for values in fields.values()) > 8 * LARGEST:
             continue  # deflating never makes so little of it, and takes long
         found = {name: packed(values[rows], bits) for name, values in fields.items()}
-        if every >= len(rows) or sum(len(one["data"]) for one in found.values()) <= LARGEST:
+        if every >= count or sum(len(one["data"]) for one in found.values()) <= LARGEST:
             return found, every
     raise AssertionError("the choices do not end")
 

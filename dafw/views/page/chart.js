@@ -1,7 +1,7 @@
 // A chart of curves over time, with a legend that tells the values at the time that is shown, and a line at that time.
 
 import { Axes, verticalRange } from "./axes.js";
-import { element, fitted } from "./dom.js";
+import { element, fitted, follow } from "./dom.js";
 import { tickLabel, withUnits } from "./format.js";
 import { dashes } from "./theme.js";
 
@@ -24,8 +24,7 @@ export class Chart {
     this.fillCaption();
     this.connectPointer();
     theme.onChange(() => this.draw());
-    new ResizeObserver(() => this.draw()).observe(this.plot);
-    player.onRow((row) => this.show(row));
+    follow(this.plot, player, { resize: () => this.draw(), draw: (row) => this.show(row) });
   }
 
   logButton() {
@@ -118,12 +117,14 @@ export class Chart {
   show(row) {
     if (!this.axes) return;
     this.cursor.style.transform = `translateX(${this.axes.toX(this.time.values[row])}px)`;
-    const told = [];
-    for (const { line, value } of this.entries) {
-      value.textContent = withUnits(bounded(line.values[row], this.spec.units), this.spec.units);
-      told.push(`${line.label} ${value.textContent}`);
-    }
-    this.canvas.setAttribute("aria-label", `${this.spec.title} over time; at t = ${tickLabel(this.time.values[row])} ${this.time.units}: ${told.join(", ")}`);
+    const told = this.entries.map(({ line, value }) => {
+      const text = withUnits(bounded(line.values[row], this.spec.units), this.spec.units);
+      value.textContent = text;
+      return `${line.label} ${text}`;
+    });
+    if (this.player.playing) return; // a label that changes many times a second helps nobody
+    const at = `t = ${tickLabel(this.time.values[row])} ${this.time.units}`;
+    this.canvas.setAttribute("aria-label", `${this.spec.title} over time; at ${at}: ${told.join(", ")}`);
   }
 }
 

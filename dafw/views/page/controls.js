@@ -23,7 +23,7 @@ export function connectControls(player, time, describe) {
     slider.value = String(row);
     const end = time.values[player.count - 1];
     byId("now").textContent = `t = ${tickLabel(time.values[row])} of ${tickLabel(end)} ${time.units}`;
-    slider.setAttribute("aria-valuetext", describe(row));
+    if (!player.playing) slider.setAttribute("aria-valuetext", describe(row));
   });
   player.onState((playing) => {
     byId("play").setAttribute("aria-label", playing ? "Pause" : "Play");

@@ -8,6 +8,26 @@ export function element(name, attributes = {}, children = []) {
   return made;
 }
 
+/**
+ * Draw a view when its element comes into sight or changes its size, and, while it is in sight, at every row: what
+ * nobody sees costs nothing. `resize` is called before the first drawing and after every change of the size.
+ */
+export function follow(box, player, { resize, draw }) {
+  let visible = false;
+  const measure = () => {
+    if (!box.clientWidth) return;
+    resize();
+    draw(player.row);
+  };
+  new IntersectionObserver((entries) => {
+    visible = entries[entries.length - 1].isIntersecting;
+    if (visible) draw(player.row);
+  }, { rootMargin: "100px" }).observe(box);
+  new ResizeObserver(measure).observe(box);
+  player.onRow((row) => visible && draw(row));
+  measure();
+}
+
 /** Size a canvas to the element that holds it; return its context in CSS pixels with width and height. */
 export function fitted(canvas, box) {
   const ratio = Math.min(devicePixelRatio || 1, 3);

@@ -1,7 +1,7 @@
 // Where the readings fall among what was expected of them: even if the belief is honest.
 
 import { Axes } from "./axes.js";
-import { element, fitted } from "./dom.js";
+import { element, fitted, follow } from "./dom.js";
 
 const BINS = 10;
 
@@ -17,8 +17,10 @@ export class Histogram {
     const heading = element("h3", {}, ["Ranks of the readings ", element("small", {}, ["(number of readings)"])]);
     room.append(element("figure", { class: "chart", "data-id": "ranks" }, [element("figcaption", {}, [heading]), element("ul", { class: "legend" }, [this.told]), this.plot]));
     theme.onChange(() => this.draw());
-    player.onRow(() => this.draw());
-    new ResizeObserver(() => this.draw()).observe(this.plot);
+    const resize = () => {
+      this.size = fitted(this.canvas, this.plot);
+    };
+    follow(this.plot, player, { resize, draw: () => this.draw() });
   }
 
   counts(until) {
@@ -30,9 +32,9 @@ export class Histogram {
   }
 
   draw() {
-    if (!this.plot.clientWidth) return;
+    if (!this.size) return;
     const { colours } = this.theme;
-    const { context, width, height } = fitted(this.canvas, this.plot);
+    const { context, width, height } = this.size;
     context.clearRect(0, 0, width, height);
     const all = this.counts(Infinity);
     const now = this.counts(this.player.row);
@@ -54,7 +56,7 @@ export class Histogram {
     const sum = now.reduce((total, count) => total + count, 0);
     const text = `${sum} of ${this.ranks.length} readings; dotted: an honest belief, shaded: nine in ten of its bars`;
     this.told.textContent = text;
-    this.canvas.setAttribute("aria-label", `Histogram of ranks from 0 to 1: ${now.join(", ")}; ${text}`);
+    if (!this.player.playing) this.canvas.setAttribute("aria-label", `Histogram of ranks from 0 to 1: ${now.join(", ")}; ${text}`);
   }
 }
 

@@ -2,12 +2,12 @@
 
 import { showBars } from "./bars.js";
 import { colourTable } from "./colours.js";
-import { element } from "./dom.js";
+import { element, follow } from "./dom.js";
 import { tickLabel, withUnits } from "./format.js";
 import { Overlay } from "./overlay.js";
 import { Raster } from "./raster.js";
 
-const MOST_PIXELS = 300000; // of one map; a larger one is enlarged by the browser
+const MOST_PIXELS = 120000; // of one map; a larger one is enlarged by the browser
 const SPREAD = { magma: "viridis", viridis: "cividis", cividis: "magma" }; // the spread has other colours than the field
 const LATER = { mean: "smoothed_mean", spread: "smoothed_spread" };
 
@@ -31,28 +31,26 @@ export class Maps {
     this.panels = panels.map((field) => this.panel(field));
     this.retint();
     theme.onChange(() => this.retint());
-    player.onRow(() => this.draw());
-    new ResizeObserver(() => this.resize()).observe(this.room);
     document.getElementById("maps").hidden = false;
-    this.resize();
+    follow(this.room, player, { resize: () => this.resize(), draw: () => this.draw() });
   }
 
   panel({ key, title }) {
     const [left, right, bottom, top] = this.extent;
     const under = element("canvas", { role: "img" });
-    const over = element("canvas", { "aria-hidden": "true" });
-    const layers = element("div", { class: "layers" }, [under, over]);
+    const [walls, over] = [0, 1].map(() => element("canvas", { "aria-hidden": "true" }));
+    const layers = element("div", { class: "layers" }, [under, walls, over]);
     layers.style.aspectRatio = `${right - left} / ${top - bottom}`;
     const note = element("span", {});
     const caption = element("figcaption", {}, [title, note]);
     this.room.append(element("figure", { class: "map", "data-key": key }, [caption, layers]));
     layers.addEventListener("click", (event) => {
       const box = layers.getBoundingClientRect();
-      const x = left + ((event.clientX - box.left) / box.width) * (right - left);
-      const y = top - ((event.clientY - box.top) / box.height) * (top - bottom);
+      const x = left + ((event.clientX - box.left - layers.clientLeft) / layers.clientWidth) * (right - left);
+      const y = top - ((event.clientY - box.top - layers.clientTop) / layers.clientHeight) * (top - bottom);
       this.pick(x, y);
     });
-    const overlay = new Overlay(over, this.data, this.extent, key);
+    const overlay = new Overlay(walls, over, this.data, this.extent, key);
     return { key, title, under, layers, note, overlay, context: under.getContext("2d") };
   }
 
@@ -73,7 +71,7 @@ export class Maps {
     for (const panel of this.panels) {
       const { clientWidth: width, clientHeight: height } = panel.layers;
       if (!width || !height) continue;
-      panel.overlay.resize(width, height, ratio);
+      panel.overlay.resize(width, height, ratio, this.theme.colours);
       if (!this.field(panel)) continue;
       const factor = Math.min(ratio, Math.sqrt(MOST_PIXELS / (width * height)));
       const [wide, high] = [Math.round(width * factor), Math.round(height * factor)];
@@ -83,7 +81,6 @@ export class Maps {
       panel.image = panel.context.createImageData(wide, high);
       panel.pixels = new Uint32Array(panel.image.data.buffer);
     }
-    this.player.redraw();
   }
 
   raster(width, height) {
@@ -103,6 +100,7 @@ export class Maps {
     this.table = colourTable(this.data.colours, crosses ? "signed" : this.colours, dark);
     this.spreadTable = colourTable(this.data.colours, SPREAD[this.colours], dark);
     showBars(this);
+    for (const { overlay } of this.panels) overlay.drawWalls(this.theme.colours);
     this.player.redraw();
   }
 

@@ -4,9 +4,10 @@ import { surpriseColour } from "./colours.js";
 
 const TRAIL = 2000; // readings that are drawn at most, the latest ones
 
-/** Draws on one canvas of a map; `place(x, y)` turns metres into its pixels. */
+/** Draws on the canvases of a map: once what stays, anew what moves; `place(x, y)` turns metres into pixels. */
 export class Overlay {
-  constructor(canvas, data, extent, key) {
+  constructor(walls, canvas, data, extent, key) {
+    this.walls = walls;
     this.canvas = canvas;
     this.context = canvas.getContext("2d");
     this.data = data;
@@ -15,12 +16,14 @@ export class Overlay {
     this.colours = data.readings.row.map((_, k) => surpriseColour(data.readings.surprise[k]));
   }
 
-  resize(width, height, ratio) {
-    this.canvas.width = Math.round(width * ratio);
-    this.canvas.height = Math.round(height * ratio);
+  resize(width, height, ratio, colours) {
+    for (const canvas of [this.walls, this.canvas]) {
+      canvas.width = Math.round(width * ratio);
+      canvas.height = Math.round(height * ratio);
+      canvas.getContext("2d").setTransform(ratio, 0, 0, ratio, 0, 0);
+    }
     this.width = width;
     this.height = height;
-    this.ratio = ratio;
     this.outlines = new Path2D();
     for (const building of this.data.map.buildings) {
       building.forEach(([x, y], k) => {
@@ -30,6 +33,19 @@ export class Overlay {
       });
       this.outlines.closePath();
     }
+    this.drawWalls(colours);
+  }
+
+  /** Draw the buildings. */
+  drawWalls(colours) {
+    if (!this.outlines) return;
+    const context = this.walls.getContext("2d");
+    context.clearRect(0, 0, this.width, this.height);
+    context.fillStyle = colours.building;
+    context.strokeStyle = colours.wall;
+    context.lineWidth = 0.8;
+    context.fill(this.outlines);
+    context.stroke(this.outlines);
   }
 
   place(x, y) {
@@ -40,13 +56,7 @@ export class Overlay {
   /** Draw the state at a row; `picked` is a place [x, y] in metres, or null. */
   draw(row, colours, withRoute, picked) {
     const { context } = this;
-    context.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
     context.clearRect(0, 0, this.width, this.height);
-    context.fillStyle = colours.building;
-    context.strokeStyle = colours.wall;
-    context.lineWidth = 0.8;
-    context.fill(this.outlines);
-    context.stroke(this.outlines);
     this.drawSources(row, colours);
     for (const mark of this.data.map.landmarks) this.drawLandmark(mark, colours);
     if (withRoute) {

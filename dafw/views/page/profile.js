@@ -1,7 +1,7 @@
 // A state without places in the plane: its values over the index, at the time that is shown.
 
 import { Axes, verticalRange } from "./axes.js";
-import { element, fitted } from "./dom.js";
+import { element, fitted, follow } from "./dom.js";
 import { dashes } from "./theme.js";
 
 const LABELS = { truth: "truth", mean: "belief", free: "free run", smoothed_mean: "as revised later" };
@@ -26,13 +26,15 @@ export class Profile {
     const everything = this.keys.map((key) => ({ values: Array.from(this.fields[key].values) }));
     this.range = verticalRange({ lines: everything }, false);
     theme.onChange(() => this.draw());
-    player.onRow(() => this.draw());
-    new ResizeObserver(() => this.draw()).observe(this.plot);
+    const resize = () => {
+      this.size = fitted(this.canvas, this.plot);
+    };
+    follow(this.plot, player, { resize, draw: () => this.draw() });
   }
 
   draw() {
-    if (!this.plot.clientWidth) return;
-    const { context, width, height } = fitted(this.canvas, this.plot);
+    if (!this.size) return;
+    const { context, width, height } = this.size;
     context.clearRect(0, 0, width, height);
     const axes = new Axes(context, width, height, [0, Math.max(1, this.nodes - 1)], this.range, false);
     axes.drawGrid(this.theme.colours, "index");
@@ -54,6 +56,6 @@ export class Profile {
       this.marks[k].style.color = this.theme.line(key);
     });
     const time = this.data.time;
-    this.canvas.setAttribute("aria-label", `${this.data.variable.title} over its index at t = ${time.values[rows[at]]} ${time.units}`);
+    if (!this.player.playing) this.canvas.setAttribute("aria-label", `${this.data.variable.title} over its index at t = ${time.values[rows[at]]} ${time.units}`);
   }
 }

@@ -1,6 +1,6 @@
 // The policy's scores: how much each direction promised at the decision that led to the row that is shown.
 
-import { element, fitted } from "./dom.js";
+import { element, fitted, follow } from "./dom.js";
 import { formatNumber, tickLabel } from "./format.js";
 
 const FULL = 2 * Math.PI;
@@ -17,8 +17,10 @@ export class Scores {
     const caption = element("figcaption", {}, [element("h3", {}, [`Scores of the ${kind} at the decision`]), ...this.choice()]);
     room.append(element("figure", { class: "chart", "data-id": "scores" }, [caption, element("ul", { class: "legend" }, [this.told]), this.plot]));
     theme.onChange(() => this.draw());
-    player.onRow(() => this.draw());
-    new ResizeObserver(() => this.draw()).observe(this.plot);
+    const resize = () => {
+      this.size = fitted(this.canvas, this.plot);
+    };
+    follow(this.plot, player, { resize, draw: () => this.draw() });
   }
 
   choice() {
@@ -44,9 +46,9 @@ export class Scores {
   }
 
   draw() {
-    if (!this.plot.clientWidth) return;
+    if (!this.size) return;
     const { colours } = this.theme;
-    const { context, width, height } = fitted(this.canvas, this.plot);
+    const { context, width, height } = this.size;
     context.clearRect(0, 0, width, height);
     const [x, y, reach] = [width / 2, height / 2, Math.min(width, height) / 2 - 16];
     const found = this.latest();
@@ -99,6 +101,6 @@ export class Scores {
 
   say(text) {
     this.told.textContent = text;
-    this.canvas.setAttribute("aria-label", `Scores of the directions; ${text}`);
+    if (!this.player.playing) this.canvas.setAttribute("aria-label", `Scores of the directions; ${text}`);
   }
 }

@@ -51,6 +51,6 @@ function exactness({ fields, time, variable }) {
 export function subtitle(data) {
   const { words, seed, name, time } = data;
   const end = time.values[time.values.length - 1];
-  const parts = [name, seed === "" ? "" : `seed ${seed}`, words.status, `${tickLabel(end)} ${time.units}`];
+  const parts = [data.title.includes(name) ? "" : name, seed === "" ? "" : `seed ${seed}`, words.status, `${tickLabel(end)} ${time.units}`];
   return [parts.filter((part) => part).join(" · "), words.error].filter((part) => part).join(": ");
 }
