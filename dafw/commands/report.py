@@ -1,4 +1,4 @@
-"""``dafw report``: a page in one file, which plays a run in a browser."""
+"""``dafw report``: a page in one file, which plays a run, or compares many, in a browser."""
 
 from __future__ import annotations
 
@@ -9,15 +9,20 @@ from dafw.commands.parser import Parser
 
 
 def report_command(words: Sequence[str]) -> int:
-    """Write the page and print its path; raises RunError if there is no run that can be read."""
+    """Write the page and print its path; raises RunError if there is nothing that can be read."""
     parser = Parser(
         prog="dafw report",
-        description="Write one HTML file that plays a run in a browser: maps, route, curves, configuration.",
+        description="Write one HTML file that shows a run, a study or a multirun in a browser, without any network.",
     )
-    parser.add_argument("run", type=Path, metavar="RUN", help="the folder of a run, or a run.nc")
+    parser.add_argument(
+        "run", type=Path, metavar="RUN", help="the folder of a run, of a study or of a multirun; or a run.nc"
+    )
     parser.add_argument("-o", "--out", type=Path, metavar="FILE", help="the file; default: report.html in the folder")
+    parser.add_argument(
+        "--runs", action="store_true", help="of a study or a multirun: write the page of every run, too, and lead there"
+    )
     asked = parser.parse_args(words)
-    from dafw.views.report import write_report  # here, because it loads matplotlib, which --help does not need
+    from dafw.studies.report_files import write_page  # here, because it loads matplotlib, which --help does not need
 
-    print(write_report(asked.run, asked.out))
+    print(write_page(asked.run, asked.out, runs=asked.runs))
     return 0

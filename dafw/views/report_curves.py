@@ -141,7 +141,7 @@ def _scalar(run: Dataset, name: str) -> dict[str, Any]:
         "title": spoken(name),
         "units": units,
         "lines": [_line(key, STAGES[key], values) for key, values in found.items()],
-        "band": {"low": numbers(low), "high": numbers(high), "label": "± spread"},
+        "bands": [{"low": numbers(low), "high": numbers(high), "label": "± spread"}],
         "log": is_positive(run, name),
     }
 

@@ -7,26 +7,16 @@ import base64
 import numpy as np
 import pytest
 from absent import without_truth
-from browser import differ, installed_browser, number, open_page
+from browser import differ, number, open_page
 from matplotlib.tri import LinearTriInterpolator
-from playwright.sync_api import expect, sync_playwright
+from playwright.sync_api import expect
 
 from dafw.views.contents import triangulation
 from dafw.views.report import write_report
 from dafw.views.report_page import colour_maps
 from dafw.views.report_run import fields_of
 
-pytestmark = pytest.mark.skipif(installed_browser() is None, reason="no Chromium here, and DAFW_BROWSER names none")
-
 PHONE = {"viewport": {"width": 390, "height": 844}, "device_scale_factor": 2, "is_mobile": True, "has_touch": True}
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=installed_browser())
-        yield browser
-        browser.close()
 
 
 @pytest.fixture(scope="module")

@@ -80,7 +80,7 @@ def test_curves_have_the_numbers_of_the_run(plant_run):
     wrapped = np.radians(np.array(direction["mean"], float)) - plant_run["wind_direction_mean"].values
     np.testing.assert_allclose(np.cos(wrapped), 1.0, atol=1e-9)
     assert np.abs(np.diff(np.array(direction["mean"], float))).max() < 180.0
-    band = charts["wind_speed"]["band"]
+    band = charts["wind_speed"]["bands"][0]
     half = 0.5 * (np.array(band["high"]) - np.array(band["low"]))
     np.testing.assert_allclose(half, plant_run["wind_speed_spread"], rtol=1e-4)
     assert charts["total"]["title"] == "Gas on the site" and charts["total"]["units"] == "kg m⁻³ m²"
@@ -90,7 +90,7 @@ def test_the_band_of_a_positive_number_is_that_of_its_logarithm(plant_run):
     run = plant_run.copy(deep=True)
     run["wind_speed_mean"].attrs["comment"] = "positive: means are geometric, spreads are of the natural logarithm"
     (chart,) = [chart for chart in curves_of(run) if chart["id"] == "wind_speed"]
-    low, high = (np.array(chart["band"][side]) for side in ("low", "high"))
+    low, high = (np.array(chart["bands"][0][side]) for side in ("low", "high"))
     np.testing.assert_allclose(low * high, run["wind_speed_mean"] ** 2, rtol=1e-4)
     assert (low > 0.0).all() and chart["log"]
 

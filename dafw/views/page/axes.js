@@ -146,14 +146,14 @@ export class Axes {
   }
 }
 
-/** Return [low, high] for lines, a band and a level that a chart shows; a wide band does not flatten the lines. */
-export function verticalRange({ lines, band, reference, floor }, log) {
+/** Return [low, high] for lines, bands and a level that a chart shows; a wide band does not flatten the lines. */
+export function verticalRange({ lines, bands = [], reference, floor, top }, log) {
   const usable = (value) => value !== null && Number.isFinite(value) && (!log || value > 0);
   const values = lines.flatMap((line) => line.values).filter(usable);
   if (!values.length) return log ? [0.1, 10] : [0, 1];
   let [low, high] = extremes(values);
   const room = log ? high / low : high - low || Math.abs(high) || 1;
-  if (band) {
+  for (const band of bands) {
     const lows = band.low.filter(usable);
     const highs = band.high.filter(usable);
     if (lows.length) low = Math.min(low, Math.max(extremes(lows)[0], log ? low / room : low - room));
@@ -165,6 +165,7 @@ export function verticalRange({ lines, band, reference, floor }, log) {
     if (near) [low, high] = [Math.min(low, value), Math.max(high, value)];
   }
   if (log) return [low / 1.3, high * 1.3];
+  if (top !== undefined) return [floor, top];
   if (floor !== undefined && floor !== null && low >= floor) return [floor, high + 0.05 * (high - floor || 1)];
   const margin = 0.06 * (high - low || Math.abs(high) || 1);
   return [low - margin, high + margin];

@@ -6,7 +6,7 @@ import { tickLabel, withUnits } from "./format.js";
 import { dashes } from "./theme.js";
 
 /**
- * One chart. `spec` has title, units, lines [{role, label, values}], and may have band {low, high, label}, reference
+ * One chart. `spec` has title, units, lines [{role, label, values}], and may have bands [{low, high, label}], reference
  * {value, label} and floor. `time` is {values, units}.
  */
 export class Chart {
@@ -47,19 +47,20 @@ export class Chart {
   }
 
   fillCaption() {
-    const { title, units, lines, band, reference } = this.spec;
+    const { title, units, lines, bands = [], reference } = this.spec;
     this.heading.replaceChildren(title);
     if (units) this.heading.append(" ", element("small", {}, [`(${units})`]));
     this.entries = lines.map((line) => ({ line, mark: element("i", {}), value: element("b", {}) }));
     for (const { line, mark } of this.entries) mark.className = line.role === "dots" ? "dot" : style(line.role);
     const items = this.entries.map(({ line, mark, value }) => element("li", {}, [mark, line.label, " ", value]));
-    if (band) {
+    // The first band is the innermost, and the strongest.
+    this.bandMarks = bands.map((band, k) => {
       const mark = element("i", {});
       mark.style.borderTopWidth = "9px";
-      mark.style.opacity = "0.3";
-      this.bandMark = mark;
+      mark.style.opacity = String(k === 0 ? 0.3 : 0.16);
       items.push(element("li", {}, [mark, band.label]));
-    }
+      return mark;
+    });
     if (reference) {
       this.referenceMark = element("i", { class: "dotted" });
       items.push(element("li", {}, [this.referenceMark, reference.label]));
@@ -93,14 +94,14 @@ export class Chart {
     this.axes.drawGrid(theme.colours, time.units);
     this.axes.clipped(() => {
       if (spec.reference) this.drawReference();
-      if (spec.band) this.axes.drawBand(time.values, spec.band.low, spec.band.high, theme.line("mean"));
+      for (const band of spec.bands ?? []) this.axes.drawBand(time.values, band.low, band.high, theme.line("mean"));
       for (const line of [...spec.lines].reverse()) {
         if (line.role === "dots") this.axes.drawDots(time.values, line.values, theme.line("dots"));
         else this.axes.drawLine(time.values, line.values, theme.line(line.role), { dash: dashes(line.role), joined: line.joined });
       }
     });
     for (const { line, mark } of this.entries) mark.style.color = theme.line(line.role);
-    if (this.bandMark) this.bandMark.style.color = theme.line("mean");
+    for (const mark of this.bandMarks) mark.style.color = theme.line("mean");
     if (this.referenceMark) this.referenceMark.style.color = theme.colours.soft;
     this.cursor.style.height = `${this.axes.bottom}px`;
     this.show(this.player.row);

@@ -11,6 +11,7 @@ import { Player } from "./player.js";
 import { PlaceSeries } from "./point.js";
 import { Profile } from "./profile.js";
 import { Scores } from "./scores.js";
+import { showStudy } from "./study.js";
 import { Theme } from "./theme.js";
 import { showWords, subtitle } from "./words.js";
 
@@ -42,7 +43,6 @@ async function showRun(data) {
   player.draw();
   maps?.describe(describe(0));
   window.dafw = { player, theme, maps };
-  document.documentElement.dataset.ready = "yes";
 }
 
 async function showMaps(data, fields, theme, player) {
@@ -102,4 +102,10 @@ function complain(error) {
   throw error;
 }
 
-showRun(JSON.parse(byId("data").textContent)).catch(complain);
+async function show() {
+  const data = JSON.parse(byId("data").textContent);
+  await (data.kind === "study" ? showStudy(data) : showRun(data));
+  document.documentElement.dataset.ready = "yes";
+}
+
+show().catch(complain);

@@ -66,7 +66,7 @@ export class PlaceSeries {
         if (value === null || spread === null) return null;
         return logarithm ? value * Math.exp(sign * spread) : value + sign * spread;
       });
-      spec.band = { low: bound(-1), high: bound(1), label: "± spread" };
+      spec.bands = [{ low: bound(-1), high: bound(1), label: "± spread" }];
     }
     return spec;
   }

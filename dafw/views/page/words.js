@@ -7,7 +7,8 @@ import { tickLabel, withUnits } from "./format.js";
 export function showWords(data) {
   const room = document.querySelector("#words .words");
   const { words } = data;
-  room.append(words.command ? command(words.command) : element("p", { class: "wide" }, ["This run was started from Python: no command repeats it."]));
+  const started = "This run was started from Python: no command repeats it.";
+  room.append(words.command ? command(words.command, data.kind) : element("p", { class: "wide" }, [started]));
   for (const { title, rows } of words.tables) {
     const lines = rows.map(([name, value]) => element("tr", {}, [element("th", { scope: "row" }, [name]), element("td", {}, [value])]));
     room.append(element("table", {}, [element("caption", {}, [title]), element("tbody", {}, lines)]));
@@ -20,7 +21,7 @@ export function showWords(data) {
   if (notes) room.append(element("p", { class: "wide hint", id: "exactness" }, [notes]));
 }
 
-function command(text) {
+function command(text, kind) {
   const shown = element("pre", { tabindex: "0", id: "command" }, [text]);
   const button = element("button", { type: "button" }, ["Copy"]);
   button.addEventListener("click", async () => {
@@ -33,7 +34,7 @@ function command(text) {
       button.textContent = "Selected";
     }
   });
-  const line = element("div", { class: "line" }, [element("h3", {}, ["The command that repeats this run"]), button]);
+  const line = element("div", { class: "line" }, [element("h3", {}, [`The command that repeats this ${kind}`]), button]);
   return element("div", { class: "wide command" }, [line, shown]);
 }
 
