@@ -55,12 +55,12 @@ class Opened:
         return self.tab.evaluate("() => document.documentElement.scrollWidth - innerWidth")
 
 
-def open_page(browser, file: Path, **options) -> Opened:
-    """Open a file in a browser context of its own, in which every request but that for the file is refused."""
+def open_page(browser, place: Path | str, **options) -> Opened:
+    """Open a file, or an address, in a browser context of its own; requests that begin otherwise are refused."""
     context = browser.new_context(**{"viewport": {"width": 1280, "height": 900}, **options})
     context.set_default_timeout(PATIENCE)
-    address = file.resolve().as_uri()
-    context.route("**/*", lambda route: route.continue_() if route.request.url == address else route.abort())
+    address = place if isinstance(place, str) else place.resolve().as_uri()
+    context.route("**/*", lambda route: route.continue_() if route.request.url.startswith(address) else route.abort())
     opened = Opened(context.new_page())
     opened.tab.on("request", lambda request: opened.requests.append(request.url))
     opened.tab.on("console", lambda message: opened.complaints.append(f"{message.type}: {message.text}"))

@@ -27,15 +27,15 @@ IMPORT = re.compile(r'^import \{ (.+) \} from "\./(\w+)\.js";$', re.MULTILINE)
 EXPORT = re.compile(r"^export (?=(?:async )?(?:function|const|class) (\w+))", re.MULTILINE)
 
 
-def page(data: Mapping[str, Any], *, live: bool = False) -> str:
-    """Return the page that shows ``data``; with ``live`` it asks its own server for more of them, and nobody else."""
+def page(data: Mapping[str, Any]) -> str:
+    """Return the page that shows ``data``; with an entry ``live`` it asks its own server for more, and nobody else."""
     script, style = bundle("main"), _file("page.css")
     policy = {
         "default-src": "'none'",
         "script-src": f"'sha256-{_hash(script)}'",
         "style-src": f"'sha256-{_hash(style)}'",
         "img-src": "data:",
-        "connect-src": "'self'" if live else "'none'",
+        "connect-src": "'self'" if data.get("live") else "'none'",
         "base-uri": "'none'",
         "form-action": "'none'",
     }
@@ -44,7 +44,7 @@ def page(data: Mapping[str, Any], *, live: bool = False) -> str:
         "POLICY": escape("; ".join(f"{name} {value}" for name, value in policy.items())),
         "STYLE": style,
         "SCRIPT": script,
-        "DATA": as_json({**data, "live": live, "colours": colour_maps()}),
+        "DATA": as_json({**data, "colours": colour_maps()}),
     }
     # In one pass, so that a text of the data that looks like one of these marks stays a text.
     return re.sub(r"\{\{([A-Z]+)\}\}", lambda mark: found[mark[1]], _file("page.html"))

@@ -8,7 +8,6 @@ const byId = (id) => document.getElementById(id);
 export function connectControls(player, time, describe) {
   const slider = byId("slider");
   slider.max = String(player.count - 1);
-  byId("controls").hidden = player.count < 2;
   slider.addEventListener("input", () => player.go(Number(slider.value)));
   byId("first").addEventListener("click", () => player.go(0));
   byId("last").addEventListener("click", () => player.go(player.count - 1));
@@ -19,6 +18,7 @@ export function connectControls(player, time, describe) {
   document.addEventListener("keydown", (event) => onKey(event, player));
 
   player.onRow((row) => {
+    byId("controls").hidden = player.count < 2;
     slider.max = String(player.count - 1);
     slider.value = String(row);
     const end = time.values[player.count - 1];

@@ -8,9 +8,8 @@ const BINS = 10;
 /** Counts the ranks of the readings up to the time that is shown, over those of the whole run. */
 export class Histogram {
   constructor(data, theme, player, room) {
-    Object.assign(this, { theme, player });
-    const { row, rank } = data.readings;
-    this.ranks = row.map((at, k) => ({ at, rank: rank[k] })).filter((one) => one.rank !== null);
+    Object.assign(this, { data, theme, player });
+    this.refresh();
     this.canvas = element("canvas", { role: "img" });
     this.plot = element("div", { class: "plot still" }, [this.canvas]);
     this.told = element("li", {});
@@ -21,6 +20,12 @@ export class Histogram {
       this.size = fitted(this.canvas, this.plot);
     };
     follow(this.plot, player, { resize, draw: () => this.draw() });
+  }
+
+  /** Look at the run's readings anew. */
+  refresh() {
+    const { row, rank } = this.data.readings;
+    this.ranks = row.map((at, k) => ({ at, rank: rank[k] })).filter((one) => one.rank !== null);
   }
 
   counts(until) {

@@ -1,11 +1,12 @@
 // Puts the page together from its data.
 
-import { showBars, showMarks } from "./bars.js";
+import { showMarks } from "./bars.js";
 import { Chart } from "./chart.js";
 import { connectControls } from "./controls.js";
 import { unpackField, unpackNumbers } from "./data.js";
 import { tickLabel, withUnits } from "./format.js";
 import { Histogram } from "./histogram.js";
+import { followRun, take } from "./live.js";
 import { Maps } from "./maps.js";
 import { Player } from "./player.js";
 import { PlaceSeries } from "./point.js";
@@ -25,24 +26,37 @@ async function showRun(data) {
   const panels = data.fields?.panels ?? [];
   const unpacked = await Promise.all(panels.map(unpackField));
   const fields = panels.map((panel, k) => ({ ...panel, values: unpacked[k] }));
-  const maps = data.map ? await showMaps(data, fields, theme, player) : null;
-  if (!data.map && fields.length) new Profile(data, fields, theme, player);
+  const views = data.map ? await showMaps(data, fields, theme, player) : {};
+  const { maps } = views;
+  if (!data.map && fields.length) views.profile = new Profile(data, fields, theme, player);
 
   const describe = (row) => described(data, row);
   connectControls(player, data.time, describe);
   if (maps) player.onState((playing) => playing || maps.describe(describe(player.row)));
-  showCharts("curves", data.curves, data, theme, player);
-  showCharts("trust", data.innovations, data, theme, player);
-  byId("innovation-hint").hidden = !data.innovations.length;
-  const room = document.querySelector("#trust .charts");
-  if (data.readings.row.length && data.readings.rank.some((rank) => rank !== null)) new Histogram(data, theme, player, room);
-  if (data.scores) new Scores(data, theme, player, room);
-  byId("trust").hidden = !room.childElementCount;
+  views.charts = new Map();
+  showCharts(data, views, theme, player);
   showWords(data);
-  player.row = 0;
+  if (data.live) {
+    player.row = player.count - 1;
+    followRun(data.live.state, (next) => refresh(data, next, views, theme, player), (text) => {
+      byId("subtitle").textContent = [subtitle(data), text].join(" · ");
+    });
+  }
   player.draw();
-  maps?.describe(describe(0));
+  maps?.describe(describe(player.row));
   window.dafw = { player, theme, maps };
+}
+
+/** Show more of a run that goes on. */
+async function refresh(data, next, views, theme, player) {
+  const fields = await take(data, next);
+  views.maps?.refresh(fields);
+  views.profile?.refresh(fields);
+  views.histogram?.refresh();
+  player.extend(data.time.values.length);
+  showCharts(data, views, theme, player);
+  views.place?.refresh();
+  showWords(data);
 }
 
 async function showMaps(data, fields, theme, player) {
@@ -51,39 +65,45 @@ async function showMaps(data, fields, theme, player) {
     y: await unpackNumbers(data.map.y, Float32Array),
     triangles: await unpackNumbers(data.map.triangles, Uint32Array),
   };
-  const maps = new Maps(data, mesh, mesh.triangles.length ? fields : [], theme, player);
   const hasFields = mesh.triangles.length > 0;
+  const maps = new Maps(data, mesh, hasFields ? fields : [], theme, player);
+  const place = hasFields ? new PlaceSeries(data, mesh, maps, theme, player) : null;
   showMarks(data);
-  if (hasFields) new PlaceSeries(data, mesh, fields, maps, theme, player);
   document.querySelector("#maps .hint").hidden = !hasFields;
   byId("scale-choice").hidden = !hasFields;
   byId("colours-choice").hidden = !hasFields || data.fields.bottom < 0;
-  byId("route-choice").hidden = !data.vehicles.length && !data.readings.row.length;
-  byId("colours").addEventListener("change", (event) => {
-    maps.colours = event.target.value;
-    maps.retint();
-  });
-  byId("scale").addEventListener("change", (event) => {
-    maps.scale = event.target.value;
-    maps.retint();
-  });
   byId("belief-choice").hidden = !maps.fields.smoothed_mean;
-  byId("belief").addEventListener("change", (event) => {
-    maps.later = event.target.value === "later";
-    maps.retint();
-  });
-  byId("route").addEventListener("change", (event) => {
-    maps.withRoute = event.target.checked;
-    showBars(maps);
-    player.redraw();
-  });
-  return maps;
+  byId("route-choice").hidden = !data.vehicles.length && !data.readings.row.length;
+  const changes = {
+    colours: ({ value }) => Object.assign(maps, { colours: value }),
+    scale: ({ value }) => Object.assign(maps, { scale: value }),
+    belief: ({ value }) => Object.assign(maps, { later: value === "later" }),
+    route: ({ checked }) => Object.assign(maps, { withRoute: checked }),
+  };
+  for (const [id, change] of Object.entries(changes)) {
+    byId(id).addEventListener("change", (event) => {
+      change(event.target);
+      maps.retint();
+    });
+  }
+  return { maps, place };
 }
 
-function showCharts(id, specs, data, theme, player) {
-  const room = document.querySelector(`#${id} .charts`);
-  byId(id).hidden = !specs.length;
-  for (const spec of specs) new Chart(room, spec, data.time, player, theme);
+/** Show every chart that there are data for; a chart that is there already gets the new data. */
+function showCharts(data, views, theme, player) {
+  for (const [id, specs] of [["curves", data.curves], ["trust", data.innovations]]) {
+    const room = document.querySelector(`#${id} .charts`);
+    for (const spec of specs) {
+      if (views.charts.has(spec.id)) views.charts.get(spec.id).replace(spec);
+      else views.charts.set(spec.id, new Chart(room, spec, data.time, player, theme));
+    }
+  }
+  const room = document.querySelector("#trust .charts");
+  if (data.readings.rank?.some((rank) => rank !== null)) views.histogram ??= new Histogram(data, theme, player, room);
+  if (data.scores) views.scores ??= new Scores(data, theme, player, room);
+  byId("curves").hidden = !data.curves.length;
+  byId("trust").hidden = !room.childElementCount;
+  byId("innovation-hint").hidden = !data.innovations.length;
 }
 
 /** Say in words what is shown at a row. */

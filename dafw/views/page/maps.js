@@ -59,6 +59,13 @@ export class Maps {
     return this.fields[(this.later && LATER[key]) || key] ?? this.fields[key];
   }
 
+  /** Show new fields of the same run. */
+  refresh(fields) {
+    for (const field of fields) Object.assign(this.fields[field.key] ?? {}, field, { peaks: undefined });
+    for (const { overlay } of this.panels) overlay.refresh();
+    showBars(this);
+  }
+
   /** Mark a place, in metres, and tell who wants to know. */
   pick(x, y) {
     this.picked = [x, y];

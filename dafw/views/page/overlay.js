@@ -12,8 +12,14 @@ export class Overlay {
     this.context = canvas.getContext("2d");
     this.data = data;
     this.extent = extent;
-    this.wind = data.wind?.[key];
-    this.colours = data.readings.row.map((_, k) => surpriseColour(data.readings.surprise[k]));
+    this.key = key;
+    this.refresh();
+  }
+
+  /** Look at the run's data anew. */
+  refresh() {
+    this.wind = this.data.wind?.[this.key];
+    this.colours = this.data.readings.row.map((_, k) => surpriseColour(this.data.readings.surprise[k]));
   }
 
   resize(width, height, ratio, colours) {

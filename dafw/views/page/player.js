@@ -31,6 +31,14 @@ export class Player {
     this.redraw();
   }
 
+  /** Take a new number of rows; if the last one was shown, the new last one is. */
+  extend(count) {
+    if (this.row === this.count - 1) this.row = count - 1;
+    this.count = count;
+    this.row = Math.min(this.row, count - 1);
+    this.redraw();
+  }
+
   /** Draw the row that is shown anew, in the next frame. */
   redraw() {
     if (this.waiting) return;

@@ -7,8 +7,8 @@ import { triangleAt } from "./raster.js";
 
 /** Shows the series at the place that was clicked on a map, or whose coordinates were given. */
 export class PlaceSeries {
-  constructor(data, mesh, fields, maps, theme, player) {
-    Object.assign(this, { data, mesh, fields, maps, theme, player });
+  constructor(data, mesh, maps, theme, player) {
+    Object.assign(this, { data, mesh, maps, theme, player });
     this.room = document.getElementById("place");
     this.note = element("p", { class: "wide" });
     this.room.append(this.note);
@@ -22,7 +22,13 @@ export class PlaceSeries {
     }
   }
 
+  /** Show the series at the same place anew. */
+  refresh() {
+    if (this.place) this.show(...this.place);
+  }
+
   show(x, y) {
+    this.place = [x, y];
     this.inputs[0].value = x.toFixed(1);
     this.inputs[1].value = y.toFixed(1);
     this.room.hidden = false;
@@ -42,7 +48,7 @@ export class PlaceSeries {
     const { rows, logarithm } = this.data.fields;
     const count = this.data.time.values.length;
     const series = {};
-    for (const { key, values } of this.fields) {
+    for (const { key, values } of Object.values(this.maps.fields)) {
       const one = new Array(count).fill(null);
       rows.forEach((row, at) => {
         const value = corners.reduce((sum, node, k) => sum + weights[k] * values[at * nodes + node], 0);

@@ -23,13 +23,19 @@ export class Profile {
     const room = document.querySelector("#profile .charts");
     room.append(element("figure", { class: "chart wide" }, [element("figcaption", {}, [heading]), element("ul", { class: "legend" }, items), this.plot]));
     document.getElementById("profile").hidden = false;
-    const everything = this.keys.map((key) => ({ values: Array.from(this.fields[key].values) }));
-    this.range = verticalRange({ lines: everything }, false);
+    this.refresh(fields);
     theme.onChange(() => this.draw());
     const resize = () => {
       this.size = fitted(this.canvas, this.plot);
     };
     follow(this.plot, player, { resize, draw: () => this.draw() });
+  }
+
+  /** Show new values of the same run. */
+  refresh(fields) {
+    for (const field of fields) Object.assign(this.fields[field.key], field);
+    const everything = this.keys.map((key) => ({ values: Array.from(this.fields[key].values) }));
+    this.range = verticalRange({ lines: everything }, false);
   }
 
   draw() {

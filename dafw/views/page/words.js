@@ -6,6 +6,8 @@ import { tickLabel, withUnits } from "./format.js";
 /** Fill the last section of the page. */
 export function showWords(data) {
   const room = document.querySelector("#words .words");
+  const wasOpen = room.querySelector("details")?.open ?? false;
+  room.replaceChildren();
   const { words } = data;
   const started = "This run was started from Python: no command repeats it.";
   room.append(words.command ? command(words.command, data.kind) : element("p", { class: "wide" }, [started]));
@@ -15,7 +17,9 @@ export function showWords(data) {
   }
   if (words.configuration) {
     const text = element("pre", { tabindex: "0" }, [words.configuration]);
-    room.append(element("details", { class: "wide" }, [element("summary", {}, ["Configuration"]), text]));
+    const details = element("details", { class: "wide" }, [element("summary", {}, ["Configuration"]), text]);
+    details.open = wasOpen;
+    room.append(details);
   }
   const notes = exactness(data);
   if (notes) room.append(element("p", { class: "wide hint", id: "exactness" }, [notes]));
@@ -52,6 +56,7 @@ function exactness({ fields, time, variable }) {
 export function subtitle(data) {
   const { words, seed, name, time } = data;
   const end = time.values[time.values.length - 1];
-  const parts = [data.title.includes(name) ? "" : name, seed === "" ? "" : `seed ${seed}`, words.status, `${tickLabel(end)} ${time.units}`];
+  const status = data.live && !data.live.ended ? "" : words.status; // of a run that goes on the file says "interrupted"
+  const parts = [data.title.includes(name) ? "" : name, seed === "" ? "" : `seed ${seed}`, status, `${tickLabel(end)} ${time.units}`];
   return [parts.filter((part) => part).join(" · "), words.error].filter((part) => part).join(": ");
 }
