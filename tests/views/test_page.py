@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 from absent import without_truth
 from browser import differ, number, open_page
+from matplotlib.image import imread
 from matplotlib.tri import LinearTriInterpolator
 from playwright.sync_api import expect
 
+from benchmarks.page import measured, picture
 from dafw.views.contents import triangulation
 from dafw.views.report import write_report
 from dafw.views.report_page import colour_maps
@@ -329,3 +331,11 @@ def test_everything_that_can_be_used_has_a_name(page):
     ).map((one) => one.outerHTML)""")
     assert nameless == []
     assert "ERR of the belief" in page.find("#slider").get_attribute("aria-valuetext")
+
+
+def test_a_page_can_be_measured_and_photographed(browser, plant_folder, tmp_path):
+    file = write_report(plant_folder)
+    found = measured(browser, file, "phone", loads=1, frames=5)
+    assert found.open > 0.0 and found.draw > 0.0 and found.frames > 0.0
+    picture(browser, file, tmp_path / "page.png")
+    assert imread(tmp_path / "page.png").std() > 0.05
