@@ -22,7 +22,7 @@ usage: dafw COMMAND [...]
   study NAME [overrides] | --list          run a study file's configurations on many seeds, and compare them
   plugins [--json] [NAME]                  list the plugins, or the options of those with this name
   plot RUN|SWEEP ... [--out DIR]           draw the pictures of a run, or of several together
-  report RUN|SWEEP|STUDY [-o FILE]         write a page in one file that plays a run, or compares many, in a browser
+  report RUN|SWEEP|STUDY ... [-o FILE]     write a page in one file that plays a run, or compares many, in a browser
   watch RUN [--port N]                     serve that page on this machine while the run goes on, and follow it
   readings FILE|RUN [options] [--to FILE]  say how a file of readings would be read; write it, or a run's, anew; draw it
   check NAME [NAME ...] | --all            hold plugins to what their interface promises

@@ -180,6 +180,8 @@ def test_the_command_prints_the_file(plant_folder, capsys, tmp_path):
     assert capsys.readouterr().out == f"{plant_folder / 'report.html'}\n"
     elsewhere = tmp_path / "some" / "where.html"
     assert main(["report", str(plant_folder / "run.nc"), "-o", str(elsewhere)]) == 0
+    assert main(["report", str(plant_folder), str(plant_folder / "run.nc")]) == 0
+    assert capsys.readouterr().out.splitlines()[-2:] == [str(plant_folder / "report.html")] * 2
     assert elsewhere.read_bytes() == (plant_folder / "report.html").read_bytes(), "the same run, the same bytes"
 
 
@@ -188,6 +190,7 @@ def test_the_command_prints_the_file(plant_folder, capsys, tmp_path):
     [
         (["nowhere"], "nowhere/run.nc: holds no run|nowhere: holds no run"),
         ([], "report: the following arguments are required: RUN"),
+        (["{run}", "{run}", "-o", "page.html"], "--out is for one page, expected one RUN with it, got 2"),
         (["{run}", "-o", "{folder}"], "is a folder; expected the file to write"),
     ],
 )
