@@ -58,6 +58,7 @@ def innovations_of(run: Dataset) -> list[dict[str, Any]]:
                 ],
                 "reference": {"value": honest, "label": "honest belief"},
                 "log": honest > 0.0,
+                "floor": 0.0 if honest > 0.0 else None,
             }
         )
     return charts

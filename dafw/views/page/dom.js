@@ -23,6 +23,7 @@ export function follow(box, player, { resize, draw }) {
     visible = entries[entries.length - 1].isIntersecting;
     if (visible) draw(player.row);
   }, { rootMargin: "100px" }).observe(box);
+  addEventListener("beforeprint", () => draw(player.row));
   new ResizeObserver(measure).observe(box);
   player.onRow((row) => visible && draw(row));
   measure();
