@@ -10,6 +10,7 @@ import sys
 import sysconfig
 import tempfile
 import venv
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -26,20 +27,32 @@ class Environment:
     bin: Path
 
     def run(
-        self, *words: str | Path, cwd: Path, path: Path | None = None, **more: str
+        self, *words: str | Path, cwd: Path, path: Path | None = None, programs: Path | None = None, **more: str
     ) -> subprocess.CompletedProcess[str]:
-        """Run a command of the environment; ``path``: a folder with further installed packages; ``more``: variables."""
+        """Run a command of the environment.
+
+        ``path``: a folder with further installed packages; ``programs``: a folder with programs that are used instead
+        of the environment's; ``more``: variables.
+        """
+        surroundings = self.variables(more)
+        if path is not None:
+            surroundings["PYTHONPATH"] = str(path)
+        command = [str(word) for word in words]
+        if programs is not None:
+            surroundings["PATH"] = f"{programs}{os.pathsep}{surroundings['PATH']}"
+        if command[0] != "sh":
+            command[0] = str((self.bin if programs is None else programs) / command[0])
+        return subprocess.run(command, cwd=cwd, env=surroundings, capture_output=True, text=True, timeout=PATIENCE)
+
+    def variables(self, more: Mapping[str, str]) -> dict[str, str]:
+        """Return the variables of a process of the environment, with ``more`` of them."""
         surroundings = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "PYTEST_"))}
         # The MPI library is beside the packages, where only their own environment looks for it.
         surroundings |= {"LD_LIBRARY_PATH": f"{sysconfig.get_path('data')}/lib"}
         surroundings |= {"PATH": f"{self.bin}{os.pathsep}{os.environ['PATH']}", "OMP_NUM_THREADS": "1", **more}
         # The usual pip, but without the network: dependencies and build tools are installed already.
         offline = {"NO_INDEX": "1", "NO_DEPS": "1", "NO_BUILD_ISOLATION": "0", "DISABLE_PIP_VERSION_CHECK": "1"}
-        surroundings |= {f"PIP_{name}": value for name, value in offline.items()}
-        if path is not None:
-            surroundings["PYTHONPATH"] = str(path)
-        command = [str(self.bin / words[0]), *map(str, words[1:])] if words[0] != "sh" else [str(w) for w in words]
-        return subprocess.run(command, cwd=cwd, env=surroundings, capture_output=True, text=True, timeout=PATIENCE)
+        return surroundings | {f"PIP_{name}": value for name, value in offline.items()}
 
 
 @cache
@@ -57,3 +70,21 @@ def environment() -> Environment:
     installed = fresh.run("python", "-m", "pip", "install", *(folder / "wheels").glob("*.whl"), cwd=folder)
     assert installed.returncode == 0, installed.stderr
     return fresh
+
+
+@cache
+def prepared() -> Path:
+    """Return a folder with programs ``dafw`` and ``python`` whose processes have imported the libraries already."""
+    folder = Path(tempfile.mkdtemp(prefix="dafw-prepared-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    fresh = environment()
+    server = subprocess.Popen(
+        [fresh.bin / "python", ROOT / "tests" / "prepared.py", folder],
+        env=fresh.variables({"MPLBACKEND": "Agg"}),
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    atexit.register(server.kill)
+    assert server.stdout is not None
+    assert server.stdout.readline() == "ready\n"
+    return folder

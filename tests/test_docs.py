@@ -21,7 +21,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from fresh import ROOT, environment
+from fresh import ROOT, environment, prepared
 
 from dafw.testing import CHECKS
 
@@ -189,7 +189,12 @@ def variables(tmp_path_factory):
 
 
 def try_page(page: Path, folder: Path, variables: dict[str, str]) -> int:
-    """Run the blocks of a page in an empty folder; return how many commands and programs there were."""
+    """Run the blocks of a page in an empty folder; return how many commands and programs there were.
+
+    The commands of the README are processes of their own, as a user's are; those of other pages are copies of one that
+    has imported the libraries (prepared.py).
+    """
+    programs = None if page == ROOT / "README.md" else prepared()
     printed, count, literal = "", 0, True
     for number, block in enumerate(blocks(page)):
         place = f"{page.relative_to(ROOT)}, line {block.line}"
@@ -217,7 +222,7 @@ def try_page(page: Path, folder: Path, variables: dict[str, str]) -> int:
             shown = [" ".join(line.split()) for line in printed.splitlines()]
             assert [line for line in block.content.splitlines() if " ".join(line.split()) not in shown] == [], place
         if words:
-            done = environment().run(*words, cwd=folder, **variables)
+            done = environment().run(*words, cwd=folder, programs=programs, **variables)
             assert done.returncode == 0, f"{place}\n{words[-1]}\n{done.stdout}\n{done.stderr}"
             printed += done.stdout
     return count

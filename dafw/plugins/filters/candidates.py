@@ -27,7 +27,7 @@ class Candidates:
     log_prior    (P,) log density of the first guess, of the coordinates
     log_proposal (P,) log density that importance sampling divides by; zero where they are not weighted by it
     log_kept     (P,) log probability that a candidate was kept whenever candidates were given up; zero before
-    fit          (P, 2, S) log likelihood of all readings so far, for each size of the model's error; lasting and fading
+    fit          (P, S) log likelihood of all readings so far, for each size of the model's error
     predicted    (P, M) their predictions of all readings so far, in the order of the cycles
     now          the candidates at the end of the present cycle, with the model's memory
     """
@@ -87,14 +87,12 @@ class Candidates:
         since = int(memory["done"])
         if readings_before(window, since) != int(memory["seen"]):
             start = window.first.ensemble.with_members(self.starts)
-            now, fit, predicted, kept = _run(window, start, window.cycles[0].number, likelihood)
-            fit = _of_all(window, predicted, fit, likelihood)
-            return replace(self.taken(kept), fit=fit, predicted=predicted, now=now)
-        now, fit, predicted, kept = _run(window, self.now, since, likelihood)
+            now, predicted, kept = _run(window, start, window.cycles[0].number)
+            return replace(self.taken(kept), fit=_fit(window, predicted, likelihood), predicted=predicted, now=now)
+        now, predicted, kept = _run(window, self.now, since)
         rest = self.taken(kept)
         predicted = np.concatenate([rest.predicted, predicted], axis=1)
-        faded = likelihood.faded(window.cycles[-1].number + 1 - since)[:, np.newaxis]
-        fit = _of_all(window, predicted, faded * rest.fit + fit, likelihood)
+        fit = _fit(window, predicted, likelihood, since, rest.fit)
         return replace(rest, fit=fit, predicted=predicted, now=now)
 
 
@@ -138,8 +136,8 @@ def evaluated(
     """
     ensemble = window.first.ensemble.with_members(starts)
     start = ensemble if memory is None else Forecast(ensemble, memory)
-    now, fit, predicted, kept = _run(window, start, window.cycles[0].number, likelihood)
-    fit = _of_all(window, predicted, fit, likelihood)
+    now, predicted, kept = _run(window, start, window.cycles[0].number)
+    fit = _fit(window, predicted, likelihood)
     zeros = np.zeros(len(kept))
     return Candidates(starts[kept], coordinates[kept], log_prior[kept], zeros, zeros, fit, predicted, now), kept
 
@@ -158,20 +156,31 @@ def tried(
         return None  # each of them failed for itself; the candidates so far are not concerned
 
 
-def _of_all(window: Window, predicted: Array, fit: Array, likelihood: Likelihood) -> Array:
-    """Return the fit (P, 2, S) of all readings: the sum over cycles, unless backgrounds tie the readings together."""
-    if not likelihood.has_background or not predicted.shape[1]:
-        return fit
-    return np.repeat(likelihood.of_sequence(window.cycles, predicted).fit[:, np.newaxis], 2, axis=1)
+def _fit(
+    window: Window, predicted: Array, likelihood: Likelihood, since: int = 0, before: Array | None = None
+) -> Array:
+    """Return the log likelihood (P, S) of all readings so far, from the predictions (P, M) of them.
+
+    That ``before`` (P, S) of the readings of the cycles before ``since`` is added to, unless backgrounds tie all
+    readings together.
+    """
+    fit = np.zeros((len(predicted), len(likelihood.sizes)))
+    if likelihood.has_background:
+        return likelihood.of_sequence(window.cycles, predicted).fit if predicted.shape[1] else fit
+    column = readings_before(window, since)
+    for cycle in window.cycles:
+        seen = cycle.observation
+        if cycle.number >= since and seen.values.size:
+            columns = slice(column, column + seen.values.size)
+            fit += likelihood.log_density(predicted[:, columns], seen.values, seen.covariance)
+            column = columns.stop
+    return fit if before is None else before + fit
 
 
-def _run(
-    window: Window, start: Forecast | Ensemble, first: int, likelihood: Likelihood
-) -> tuple[Forecast, Array, Array, IntArray]:
+def _run(window: Window, start: Forecast | Ensemble, first: int) -> tuple[Forecast, Array, IntArray]:
     """Run members from cycle ``first`` to now.
 
-    Return the members now, their fit (P, 2, S), their predictions (P, M), and the indices (P,) of those that did not
-    fail.
+    Return the members now, their predictions (P, M), and the indices (P,) of those that did not fail.
     """
     cycles = [cycle for cycle in window.cycles if cycle.number >= first]
     operators = {cycle.number: cycle.observation.operator for cycle in cycles if cycle.observation.values.size}
@@ -187,18 +196,9 @@ def _run(
             if error.member is None or len(kept) == 1:
                 raise
             kept = np.delete(kept, error.member)
-    fit, predicted = np.zeros((len(kept), 2, len(likelihood.sizes))), [np.empty((len(kept), 0))]
-    for cycle in cycles:
-        if cycle.number in operators:
-            seen = cycle.observation
-            predicted.append(replay.predicted[cycle.number])
-            age = cycles[-1].number - cycle.number
-            if likelihood.has_background:
-                continue
-            density = likelihood.log_density(predicted[-1], seen.values, seen.covariance)
-            fit += likelihood.faded(age)[:, np.newaxis] * density[:, np.newaxis]
+    predicted = [np.empty((len(kept), 0)), *(replay.predicted[number] for number in operators)]
     now = Forecast(replay.forecast.ensemble, replay.forecast.memory)
-    return now, fit, np.concatenate(predicted, axis=1), kept
+    return now, np.concatenate(predicted, axis=1), kept
 
 
 def normalized(log_weights: Array) -> Array:

@@ -14,13 +14,6 @@ With ``background.sd`` every sensor has an unknown background that drifts, and t
 likelihood is then that of the whole sequence of readings (background.py), whose errors are relative to the prediction.
 
 A reading below ``detection_limit`` says only that the truth is below it.
-
-Constant parameters that follow the truth's cloud now need not be those that followed it a while ago, where the model
-cannot follow the truth. So with ``half_life`` tau, a reading n cycles ago counts only as ::
-
-    lasting + (1 - lasting) 2^(-n / tau)
-
-of a new one. A part lasts, so that explanations that were once ruled out do not return.
 """
 
 from __future__ import annotations
@@ -66,12 +59,6 @@ class Likelihood:
         None, "of the Student t distribution of the errors; null: normal distribution", above=0.0
     )
     independence: float = option(1.0, "power of the likelihood; below 1 for correlated errors", above=0.0, maximum=1.0)
-    half_life: float | None = option(
-        None,
-        "cycles in which the fading part of a reading's weight is halved; null: nothing fades",
-        above=0.0,
-    )
-    lasting: float = option(0.1, "share of a reading's weight that does not fade", minimum=0.0, maximum=1.0)
     detection_limit: float | None = option(None, "a reading below it means only: less than this; null: no limit")
     background: Background = option(Background, "unknown backgrounds of the sensors, and a source that is on and off")
 
@@ -85,9 +72,10 @@ class Likelihood:
             if self.background.on_off is not None:
                 raise ConfigurationError("likelihood.background.on_off needs background.sd, the sensors' backgrounds")
             return
-        for name, value in (("half_life", self.half_life), ("detection_limit", self.detection_limit)):
-            if value is not None:
-                raise ConfigurationError(f"likelihood.{name} cannot be used with background.sd, got {value:g}")
+        if self.detection_limit is not None:
+            raise ConfigurationError(
+                f"likelihood.detection_limit cannot be used with background.sd, got {self.detection_limit:g}"
+            )
 
     @property
     def has_background(self) -> bool:
@@ -120,8 +108,7 @@ class Likelihood:
         if not self.has_background:
             return {}
         found = self.of_sequence(window.cycles, predicted)
-        log_density = self.joined(fit)
-        share = np.exp(log_density - np.logaddexp.reduce(log_density, axis=1, keepdims=True)) * weights[:, np.newaxis]
+        share = np.exp(fit - np.logaddexp.reduce(fit, axis=1, keepdims=True)) * weights[:, np.newaxis]
         background, expected = np.tensordot(share, found.background, 2), np.tensordot(share, found.expected, 2)
         names = ", ".join(found.sensors)
         return {
@@ -180,15 +167,15 @@ class Likelihood:
             return np.asarray(log_ndtr(room / scale))
         return np.log(np.maximum(stdtr(self.degrees_of_freedom, room / scale), np.finfo(float).tiny))
 
-    def variances(self, predicted: Array, parts: Array, values: Array, covariance: Array) -> Array:
+    def variances(self, predicted: Array, fit: Array, values: Array, covariance: Array) -> Array:
         """Return s^2 (m,) of readings for the sizes that fit best, without correlations.
 
         predicted    (m,) what one member predicts
-        parts        (2, S) its sums of log likelihoods, as for ``joined``
+        fit          (S,) its log likelihoods, for each pair of ``sizes``
         values       (m,) the readings
         covariance   (m,) or (m, m) R
         """
-        absolute, relative = self.sizes[np.argmax(self.joined(parts))]
+        absolute, relative = self.sizes[np.argmax(fit)]
         of_reading = covariance if covariance.ndim == 1 else np.diagonal(covariance)
         return np.asarray(of_reading + _of_model(absolute, relative, predicted, values))
 
@@ -202,31 +189,17 @@ class Likelihood:
             return np.full(misfit.shape, self.independence)
         return self.independence * (degrees + 1.0) / (degrees + misfit)
 
-    def faded(self, cycles: float | Array) -> Array:
-        """Return the shares (..., 2) that are left of both parts of a reading's weight, lasting and fading."""
-        after = np.asarray(cycles, dtype=np.float64)
-        fading = np.ones_like(after) if self.half_life is None else 0.5 ** (after / self.half_life)
-        return np.stack([np.ones_like(after), fading], axis=-1)
+    def averaged(self, fit: Array) -> Array:
+        """Return the log likelihood (N,) of log likelihoods (N, S), averaged over the ``sizes``."""
+        return np.asarray(np.logaddexp.reduce(fit, axis=1) - np.log(fit.shape[1]))
 
-    def joined(self, parts: Array) -> Array:
-        """Return the sums (..., S) of log likelihoods that count, of those (..., 2, S) of both parts, as ``faded``."""
-        if self.half_life is None:
-            return np.asarray(parts[..., 0, :])
-        return np.asarray(self.lasting * parts[..., 0, :] + (1.0 - self.lasting) * parts[..., 1, :])
-
-    def averaged(self, parts: Array) -> Array:
-        """Return the log likelihood (N,), averaged over the sizes, of sums (N, 2, S) as for ``joined``."""
-        log_density = self.joined(parts)
-        return np.asarray(np.logaddexp.reduce(log_density, axis=1) - np.log(log_density.shape[1]))
-
-    def size_of_error(self, parts: Array, weights: Array) -> Array:
+    def size_of_error(self, fit: Array, weights: Array) -> Array:
         """Return the sizes (2,) of the model's error, absolute and relative, on average over members.
 
-        parts      (N, 2, S) sums of log likelihoods, as for ``joined``
+        fit        (N, S) log likelihoods, for each pair of ``sizes``
         weights    (N,) of the members, which add up to one
         """
-        log_density = self.joined(parts)
-        of_sizes = np.exp(log_density - np.logaddexp.reduce(log_density, axis=1, keepdims=True))
+        of_sizes = np.exp(fit - np.logaddexp.reduce(fit, axis=1, keepdims=True))
         return np.asarray((weights @ of_sizes) @ self.sizes)
 
 

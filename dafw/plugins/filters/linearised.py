@@ -6,7 +6,7 @@ the regression leaves, then ask for a step from a centre c to ::
 
     c + A^-1 (J^T D (y - h_c) + B (z_0 - c)),    A = J^T D J + B,    D = power / (s^2 + e^2)
 
-The power is what a reading counts: less if it is old and readings fade, or an outlier and tails are heavy. B is
+The power is what a reading counts: less if it is an outlier and tails are heavy. B is
 the inverse of the covariance of the samples times ``REACH``^2, about their mean z_0: a step does not lead far away
 from where the regression knows anything. Where the model is far from linear, e is large and the step is short; so the
 steps get longer as the samples get closer. The next batch is drawn about the ends of the steps with the covariance
@@ -68,9 +68,7 @@ def linearised(
     left = weights @ (changes - away @ slopes) ** 2
     errors = likelihood.variances(samples.predicted[best], samples.fit[best], window.values, window.covariance) + left
     missed = window.values - samples.predicted
-    ages = [window.cycles[-1].number - cycle.number for cycle in window.cycles for _ in cycle.observation.values]
-    counted = likelihood.joined(likelihood.faded(np.array(ages))[..., np.newaxis])[:, 0]
-    pull = counted * likelihood.pull(missed[best] ** 2 / errors) / errors
+    pull = likelihood.pull(missed[best] ** 2 / errors) / errors
     precision = (slopes * pull) @ slopes.T + np.eye(k) / REACH**2
     centres = systematic(chosen, n_centres, offset)
     asked = (missed[centres] * pull) @ slopes.T - away[centres] / REACH**2

@@ -97,12 +97,7 @@ def fit_of(rate, first, seen=range(T), likelihood=LIKELIHOOD):
     """Return the log likelihood (P,) of the readings of the cycles ``seen``, from the exact solution."""
     seen = np.array(list(seen))
     predicted = first[:, np.newaxis] * np.exp(-np.outer(rate, seen + 1.0))
-    return likelihood.averaged(lasting(likelihood.log_density(predicted, VALUES[seen], np.full(len(seen), SD**2))))
-
-
-def lasting(log_density):
-    """Return log likelihoods (P, S) of readings that do not fade in the shape (P, 2, S) that ``averaged`` expects."""
-    return np.stack([log_density, log_density], axis=1)
+    return likelihood.averaged(likelihood.log_density(predicted, VALUES[seen], np.full(len(seen), SD**2)))
 
 
 def moments(coordinates, weights):

@@ -135,7 +135,6 @@ def test_sensors_that_begin_late_have_their_place():
     ("options", "said"),
     [
         ({"background": Background(on_off=5.0)}, "on_off needs background.sd"),
-        ({"background": Background(sd=1.0), "half_life": 3.0}, "half_life cannot be used with background.sd"),
         ({"background": Background(sd=1.0), "detection_limit": 3.0}, "detection_limit cannot be used"),
     ],
 )

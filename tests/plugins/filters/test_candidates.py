@@ -1,6 +1,6 @@
 """Candidates and what is done with weights: re-runs, draws without repeats, systematic draws, clipping."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
@@ -77,17 +77,6 @@ def test_carried_on_cycle_by_cycle_they_have_the_bits_of_a_run_from_the_start():
         candidates = candidates.carried_on(window, memory, LIKELIHOOD)
         done = window.cycles[-1].number + 1
     require_same(candidates, first_candidates(windows[-1], controls, LIKELIHOOD))
-
-
-def test_where_readings_fade_it_does_not_matter_either_when_the_candidates_are_carried_on():
-    fading = replace(LIKELIHOOD, half_life=1.5)
-    windows, controls = watched(silent={3})
-    at_once = first_candidates(windows[-1], controls, fading)
-    before = windows[0]
-    memory = {"done": np.array(before.cycles[-1].number + 1), "seen": np.array(readings_before(before, 1))}
-    later = first_candidates(before, controls, fading).carried_on(windows[-1], memory, fading)
-    np.testing.assert_allclose(later.fit, at_once.fit, rtol=1e-12)
-    assert not np.allclose(fading.averaged(at_once.fit), LIKELIHOOD.averaged(at_once.fit))
 
 
 def test_after_a_late_reading_they_have_the_bits_of_a_run_from_the_start():

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from levels import lasting
 from scipy.integrate import quad
 from scipy.stats import multivariate_normal, norm, t
 
@@ -58,7 +57,7 @@ def test_the_size_is_averaged_over_all_readings_not_for_each():
         expected += np.prod(
             t(4.0).pdf((VALUES - PREDICTED) / scales(absolute, relative)) / scales(absolute, relative), 1
         )
-    np.testing.assert_allclose(np.exp(likelihood.averaged(lasting(first + second))), expected / 4.0, rtol=1e-12)
+    np.testing.assert_allclose(np.exp(likelihood.averaged(first + second)), expected / 4.0, rtol=1e-12)
 
 
 @pytest.mark.parametrize("degrees", [None, 4.0])
@@ -67,9 +66,7 @@ def test_the_density_of_a_reading_integrates_to_one(degrees):
     likelihood = Likelihood([0.05, 0.5], [0.0], degrees)
 
     def density(y):
-        return float(
-            np.exp(likelihood.averaged(lasting(likelihood.log_density(np.array([[0.3]]), np.array([y]), R[:1]))))[0]
-        )
+        return float(np.exp(likelihood.averaged(likelihood.log_density(np.array([[0.3]]), np.array([y]), R[:1])))[0])
 
     assert quad(density, -np.inf, np.inf)[0] == pytest.approx(1.0, abs=1e-7)
 
@@ -111,15 +108,3 @@ def test_sizes_that_make_no_sense_are_refused(name, sizes):
 def test_other_options_that_make_no_sense_are_refused(options):
     with pytest.raises(OptionError, match=next(iter(options))):
         require_options(Likelihood(**options), "likelihood")
-
-
-def test_readings_fade_to_the_share_that_lasts():
-    likelihood = Likelihood(half_life=4.0, lasting=0.2)
-    parts = likelihood.faded(np.array([0.0, 4.0, 8.0, 1e6]))[..., np.newaxis]
-    np.testing.assert_allclose(likelihood.joined(parts)[:, 0], [1.0, 0.2 + 0.8 / 2, 0.2 + 0.8 / 4, 0.2], rtol=1e-12)
-    # In two times four cycles as much is lost as in eight.
-    np.testing.assert_allclose(likelihood.faded(4.0) ** 2, likelihood.faded(8.0), rtol=1e-12)
-
-
-def test_without_a_half_life_nothing_fades():
-    np.testing.assert_array_equal(Likelihood().faded(np.array([0.0, 7.0])), np.ones((2, 2)))

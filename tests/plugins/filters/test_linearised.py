@@ -76,14 +76,6 @@ def test_a_heavy_tail_gives_an_outlier_little_pull():
     assert misled[1] < 0.1 * misled[0]
 
 
-def test_old_readings_pull_less_if_readings_fade():
-    samples, window, weights = case(linear)
-    window.values = window.values + np.array([50.0, 0.0, 0.0])
-    fading = Likelihood(absolute=[0.1], half_life=0.1, lasting=0.0)
-    misled = [np.abs(proposal(samples, window, weights, one)[0] - TRUTH).max() for one in (LIKELIHOOD, fading)]
-    assert misled[1] < 0.1 * misled[0]
-
-
 @pytest.mark.parametrize(("n", "expected"), [(4, False), (5, True)])
 def test_a_regression_needs_more_samples_than_slopes(n, expected):
     assert can_linearise(CONTROLS, np.full(n, 1.0 / n)) == expected

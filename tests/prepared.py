@@ -1,0 +1,136 @@
+"""A Python process that has imported the libraries, and forks itself for each command.
+
+Half of what a short ``dafw`` command takes is the import of libraries. So the pages of the documentation, with some two
+hundred commands, are tried with copies of a process that has done this once. dafw itself is imported by each copy, as
+is everything that starts threads or MPI, which a fork would not survive.
+
+    PYTHON prepared.py FOLDER    serve; FOLDER gets ``dafw`` and ``python``, which send a command and wait for its end
+
+``python`` does so only for ``python FILE ARGUMENTS``; all else goes to the interpreter itself.
+"""
+
+from __future__ import annotations
+
+import array
+import gc
+import importlib
+import json
+import os
+import runpy
+import signal
+import site
+import socket
+import sys
+import sysconfig
+from pathlib import Path
+
+LIBRARIES = (
+    "netCDF4",
+    "xarray",
+    "scipy.optimize",
+    "scipy.sparse.linalg",
+    "scipy.spatial",
+    "scipy.stats",
+    "hydra.main",
+    "omegaconf",
+    "numba",
+    "shapely",
+    "pyproj",
+    "matplotlib.pyplot",
+    "matplotlib.tri",
+)
+
+CLIENT = """#!{python} -IS
+import os, socket, sys
+words = [{program!r}, *sys.argv[1:]]
+if words[0] == "python" and (len(words) == 1 or words[1].startswith("-")):
+    os.execv({python!r}, [{python!r}, *words[1:]])
+from json import dumps
+here = socket.socket(socket.AF_UNIX)
+here.connect({address!r})
+asked = dumps({{"words": words, "folder": os.getcwd(), "variables": dict(os.environ)}}).encode()
+socket.send_fds(here, [len(asked).to_bytes(8, "big")], [0, 1, 2])
+here.sendall(asked)
+status = here.recv(8)
+sys.exit(int(status) if status else 70)
+"""
+
+
+def received(connection: socket.socket) -> tuple[dict, list[int]]:
+    """Return what a client asks for, and its standard input, output and error."""
+    head, ancillary, _, _ = connection.recvmsg(8, socket.CMSG_LEN(3 * array.array("i").itemsize))
+    streams = array.array("i")
+    for _, _, data in ancillary:
+        streams.frombytes(data)
+    body, length = b"", int.from_bytes(head, "big")
+    while len(body) < length:
+        body += connection.recv(1 << 16)
+    return json.loads(body), list(streams)
+
+
+def become(asked: dict, streams: list[int]) -> None:
+    """Take over the client's streams, folder, variables and words, and find what was installed in the meantime."""
+    for number, stream in enumerate(streams):
+        os.dup2(stream, number)
+        os.close(stream)
+    # Anew, because Python found out earlier which kind of files the former streams are.
+    sys.stdin, sys.stdout = os.fdopen(0, closefd=False), os.fdopen(1, "w", closefd=False)
+    sys.stderr = os.fdopen(2, "w", buffering=1, errors="backslashreplace", closefd=False)
+    os.chdir(asked["folder"])
+    os.environ.clear()
+    os.environ.update(asked["variables"])
+    sys.argv = list(asked["words"])
+    importlib.invalidate_caches()
+    site.addsitedir(sysconfig.get_path("purelib"))
+
+
+def serve(address: Path) -> dict:
+    """Return in a copy of this process what it is to run; this process itself goes on until it is killed."""
+    here = socket.socket(socket.AF_UNIX)
+    here.bind(str(address))
+    here.listen()
+    print("ready", flush=True)
+    signal.signal(signal.SIGCHLD, signal.SIG_IGN)
+    while True:
+        connection, _ = here.accept()
+        if os.fork():
+            connection.close()
+            continue
+        # This copy waits for the command and tells the client how it ended.
+        here.close()
+        signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+        asked, streams = received(connection)
+        if command := os.fork():
+            _, ended = os.waitpid(command, 0)
+            status = os.waitstatus_to_exitcode(ended)
+            connection.sendall(str(status if status >= 0 else 128 - status).encode())
+            os._exit(0)
+        connection.close()
+        become(asked, streams)
+        return asked
+
+
+def main() -> None:
+    """Import, serve, and in a copy run what was asked for."""
+    folder, programs = Path(sys.argv[1]), Path(sys.executable).parent
+    for library in LIBRARIES:
+        importlib.import_module(library)
+    sys.modules["numba"].njit(lambda number: number)(1)  # numba prepares itself when it compiles for the first time
+    gc.freeze()  # else each copy would go through all objects of the libraries when it ends
+    address = folder / "socket"
+    for program in ("dafw", "python"):
+        client = CLIENT.format(python=str(programs / "python"), program=program, address=str(address))
+        (folder / program).write_text(client)
+        (folder / program).chmod(0o755)
+    sys.path.pop(0)  # the folder of this file
+    program, *_ = serve(address)["words"]
+    if program == "dafw":
+        sys.argv[0] = str(programs / "dafw")
+    else:
+        sys.argv = sys.argv[1:]
+        sys.path.insert(0, str(Path(sys.argv[0]).resolve().parent))
+    runpy.run_path(sys.argv[0], run_name="__main__")
+
+
+if __name__ == "__main__":
+    main()
