@@ -154,10 +154,11 @@ export function verticalRange({ lines, bands = [], reference, floor, top }, log)
   let [low, high] = extremes(values);
   const room = log ? high / low : high - low || Math.abs(high) || 1;
   for (const band of bands) {
-    const lows = band.low.filter(usable);
-    const highs = band.high.filter(usable);
-    if (lows.length) low = Math.min(low, Math.max(extremes(lows)[0], log ? low / room : low - room));
-    if (highs.length) high = Math.max(high, Math.min(extremes(highs)[1], log ? high * room : high + room));
+    // A band that is wide for a short while is cut; one that stays wide is shown.
+    const lows = band.low.filter(usable).sort((a, b) => a - b);
+    const highs = band.high.filter(usable).sort((a, b) => a - b);
+    if (lows.length) low = Math.min(low, Math.max(lows[0], log ? low / room : low - room), share(lows, 0.25));
+    if (highs.length) high = Math.max(high, Math.min(highs.at(-1), log ? high * room : high + room), share(highs, 0.75));
   }
   if (reference && usable(reference.value)) {
     const { value } = reference;
@@ -169,6 +170,11 @@ export function verticalRange({ lines, bands = [], reference, floor, top }, log)
   if (floor !== undefined && floor !== null && low >= floor) return [floor, high + 0.05 * (high - floor || 1)];
   const margin = 0.06 * (high - low || Math.abs(high) || 1);
   return [low - margin, high + margin];
+}
+
+/** Return the value below which a share of ascending values lies. */
+function share(sorted, part) {
+  return sorted[Math.round(part * (sorted.length - 1))];
 }
 
 function extremes(values) {

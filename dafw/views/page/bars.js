@@ -16,7 +16,7 @@ export function showBars(maps) {
     const title = data.fields.logarithm ? `spread of the logarithm of ${name}` : named(`spread of ${name}`, units);
     bars.push(fieldBar(maps, spread, maps.spreadTable, title));
   }
-  if (maps.withRoute && data.readings.surprise?.some((value) => value !== null)) {
+  if (maps.withRoute && data.readings.surprise?.some((value, k) => value !== null && data.readings.x[k] !== null)) {
     const title = "readings less expected, in standard deviations";
     bars.push(bar(title, (share) => surpriseColour(6 * share - 3), ["−3 and less", "0", "3 and more"]));
   }
@@ -29,7 +29,7 @@ export function showMarks(data) {
   const { landmarks } = data.map;
   if (data.vehicles.length) marks.push(mark("M7 1 13 12H1z", "var(--route)", "vehicle and its route"));
   if (landmarks.some(({ name }) => name === "release")) marks.push(mark(CIRCLE, "#ffd92f", "release"));
-  if (data.readings.row.length) marks.push(mark(CIRCLE, "#8a9097", "reading"));
+  if (data.readings.x?.some((x) => x !== null)) marks.push(mark(CIRCLE, "#8a9097", "reading"));
   if (data.sources) marks.push(mark(CIRCLE, "var(--belief)", "where members expect the source"));
   if (data.wind) marks.push(mark("M1 5.5h7V2l5 5-5 5V8.5H1z", "var(--accent)", "wind"));
   document.querySelector("#maps .marks").replaceChildren(...marks);

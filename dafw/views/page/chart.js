@@ -129,9 +129,10 @@ export class Chart {
   }
 }
 
-/** Return an angle between 0 and 360 degrees, and any other number as it is. */
+/** Return an angle that a curve without jumps has moved far away as one between 0 and 360 degrees. */
 function bounded(value, units) {
-  return units === "°" && value !== null ? ((value % 360) + 360) % 360 : value;
+  if (units !== "°" || value === null || (value >= -180 && value < 360)) return value;
+  return ((value % 360) + 360) % 360;
 }
 
 function style(role) {

@@ -52,6 +52,34 @@ export class Overlay {
     context.lineWidth = 0.8;
     context.fill(this.outlines);
     context.stroke(this.outlines);
+    this.drawScale(context, colours);
+  }
+
+  /** Draw a bar of a round length in the lower left corner. */
+  drawScale(context, colours) {
+    const metres = (0.22 * (this.extent[1] - this.extent[0]) * Math.max(this.width, 200)) / this.width;
+    const power = 10 ** Math.floor(Math.log10(metres));
+    const length = power * [5, 2, 1].find((factor) => factor * power <= metres);
+    const width = (length / (this.extent[1] - this.extent[0])) * this.width;
+    const text = length >= 1000 ? `${length / 1000} km` : `${Number(length.toPrecision(3))} m`;
+    const [x, y] = [8, this.height - 8];
+    for (const [style, thick] of [[colours.halo, 4], [colours.text, 1.6]]) {
+      context.strokeStyle = style;
+      context.lineWidth = thick;
+      context.beginPath();
+      context.moveTo(x, y - 4);
+      context.lineTo(x, y);
+      context.lineTo(x + width, y);
+      context.lineTo(x + width, y - 4);
+      context.stroke();
+    }
+    context.font = `${this.width < 240 ? 9 : 11}px system-ui, sans-serif`;
+    context.textBaseline = "bottom";
+    context.strokeStyle = colours.halo;
+    context.lineWidth = 3;
+    context.strokeText(text, x + 4, y - 2);
+    context.fillStyle = colours.text;
+    context.fillText(text, x + 4, y - 2);
   }
 
   place(x, y) {
