@@ -22,8 +22,8 @@ export function showStudy(data) {
   document.getElementById("curves").hidden = !data.curves.length;
   const room = document.querySelector("#curves .charts");
   for (const spec of data.curves) new Chart(room, spec, data.time, player, theme);
-  connectControls(player, data.time, (row) => `t = ${tickLabel(data.time.values[row])} ${data.time.units}`);
-  if (!data.curves.length) document.getElementById("controls").hidden = true;
+  const describe = (row) => `t = ${tickLabel(data.time.values[row])} ${data.time.units}`;
+  if (data.curves.length) connectControls(player, data.time, describe);
   if (data.failed.length) data.words.tables.push({ title: "Runs that failed", rows: data.failed });
   showWords(data);
   player.row = player.count - 1;
