@@ -25,10 +25,10 @@ def write_page(path: Path, file: Path | None = None, *, runs: bool = False) -> P
     """
     path = Path(path)
     folder = path if path.is_dir() else path.parent
-    if path.name == "study.nc" or (folder / "study.nc").is_file():
+    if path.name == "study.nc" or (path / "study.nc").is_file():
         results, summary = results_of_study(folder)
         command = _study_command(summary)
-    elif path.name == RECORD or (is_sweep(folder) and not (folder / "run.nc").exists()):
+    elif path.name == RECORD or (is_sweep(path) and not (path / "run.nc").exists()):
         folder = sweep_folder(path)
         results = results_of_sweep(folder)
         summary = summarised(results)

@@ -140,6 +140,13 @@ def test_a_study_that_cannot_be_read_is_named(folder, tmp_path, capsys, broken):
     assert "cannot be read as a study" in line and line.count("\n") == 1
 
 
+def test_what_is_not_there_is_not_taken_for_the_study_around_it(folder, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    for name in ("nowhere", "elsewhere.nc"):
+        assert main(["report", name]) == 2
+        assert capsys.readouterr().err.startswith(f"dafw: {name}: holds no run")
+
+
 def test_runs_are_asked_for_where_there_are_several(plain_run, capsys):
     assert main(["report", str(plain_run), "--runs"]) == 2
     assert "--runs is for a study or a multirun" in capsys.readouterr().err

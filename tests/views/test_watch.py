@@ -80,6 +80,9 @@ def test_the_page_follows_the_run_for_several_viewers(browser, plant_run, tmp_pa
             assert page.complaints == [] and all(request.startswith(server.address) for request in page.requests)
         assert (before != viewers[0].pixels(".map[data-key=truth] canvas >> nth=0")).any()
         asked = len(viewers[0].requests)
+        late = open_page(browser, server.address)
+        assert "complete" in late.text("#subtitle") and "following" not in late.text("#subtitle")
+        late.tab.context.close()
     viewers[0].tab.wait_for_timeout(100)
     assert len(viewers[0].requests) == asked, "a run that has ended is not asked for any more"
     for page in viewers:
@@ -166,7 +169,7 @@ def test_the_command_follows_a_real_run_to_its_end_and_closes_on_an_interrupt(br
         assert re.fullmatch(r"http://127\.0\.0\.1:\d+/", address)
         page = open_page(browser, address)
         expect(page.find("#subtitle")).to_contain_text("complete", timeout=1000.0 * PATIENCE)
-        expect(page.find("#now")).to_contain_text("t = 20 of 20 s")
+        expect(page.find("#now")).to_contain_text("of 20 s")  # a page that is opened after the end begins at the start
         assert running.wait(PATIENCE) == 0 and page.complaints == []
         page.tab.context.close()
         watching.send_signal(signal.SIGINT)

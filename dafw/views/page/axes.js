@@ -132,7 +132,7 @@ export class Axes {
     context.globalAlpha = alpha;
     let begin = null;
     for (let k = 0; k <= xs.length; k += 1) {
-      const known = k < xs.length && low[k] !== null && high[k] !== null && Number.isFinite(low[k]) && Number.isFinite(high[k]);
+      const known = k < xs.length && [low[k], high[k]].every((end) => end !== null && Number.isFinite(end));
       if (known && begin === null) begin = k;
       if (known || begin === null) continue;
       context.beginPath();
@@ -157,8 +157,9 @@ export function verticalRange({ lines, bands = [], reference, floor, top }, log)
     // A band that is wide for a short while is cut; one that stays wide is shown.
     const lows = band.low.filter(usable).sort((a, b) => a - b);
     const highs = band.high.filter(usable).sort((a, b) => a - b);
-    if (lows.length) low = Math.min(low, Math.max(lows[0], log ? low / room : low - room), share(lows, 0.25));
-    if (highs.length) high = Math.max(high, Math.min(highs.at(-1), log ? high * room : high + room), share(highs, 0.75));
+    const [below, above] = log ? [low / room, high * room] : [low - room, high + room];
+    if (lows.length) low = Math.min(low, Math.max(lows[0], below), share(lows, 0.25));
+    if (highs.length) high = Math.max(high, Math.min(highs.at(-1), above), share(highs, 0.75));
   }
   if (reference && usable(reference.value)) {
     const { value } = reference;

@@ -57,8 +57,10 @@ function named(name, units) {
 function fieldBar(maps, panel, table, title) {
   const [low, high] = maps.range(panel);
   const beyond = maps.largest(maps.field(panel), null) > high * 1.001;
-  const ends = [`${formatNumber(low)}${beyond && low < 0 ? " and less" : ""}`, formatNumber((low + high) / 2), `${formatNumber(high)}${beyond ? " and more" : ""}`];
-  return bar(title, (share) => pixelColour(table[Math.round(255 * share)]), ends);
+  const least = `${formatNumber(low)}${beyond && low < 0 ? " and less" : ""}`;
+  const most = `${formatNumber(high)}${beyond ? " and more" : ""}`;
+  const colourAt = (share) => pixelColour(table[Math.round(255 * share)]);
+  return bar(title, colourAt, [least, formatNumber((low + high) / 2), most]);
 }
 
 function bar(title, colourAt, labels) {

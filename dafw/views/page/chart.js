@@ -1,7 +1,7 @@
 // A chart of curves over time, with a legend that tells the values at the time that is shown, and a line at that time.
 
 import { Axes, verticalRange } from "./axes.js";
-import { element, fitted, follow } from "./dom.js";
+import { chartFrame, element, fitted, follow, heading } from "./dom.js";
 import { tickLabel, withUnits } from "./format.js";
 import { dashes } from "./theme.js";
 
@@ -13,14 +13,10 @@ export class Chart {
   constructor(room, spec, time, player, theme) {
     Object.assign(this, { spec, time, player, theme });
     this.log = false;
-    this.canvas = element("canvas", { role: "img" });
+    this.title = element("div", {});
+    Object.assign(this, chartFrame(room, spec.id, [this.title, ...this.logButton()], false));
     this.cursor = element("div", { class: "cursor", "aria-hidden": "true" });
-    this.plot = element("div", { class: "plot" }, [this.canvas, this.cursor]);
-    this.legend = element("ul", { class: "legend" });
-    this.heading = element("h3", {});
-    this.caption = element("figcaption", {}, [this.heading, ...this.logButton()]);
-    this.figure = element("figure", { class: "chart", "data-id": spec.id }, [this.caption, this.legend, this.plot]);
-    room.append(this.figure);
+    this.plot.append(this.cursor);
     this.fillCaption();
     this.connectPointer();
     theme.onChange(() => this.draw());
@@ -48,8 +44,7 @@ export class Chart {
 
   fillCaption() {
     const { title, units, lines, bands = [], reference } = this.spec;
-    this.heading.replaceChildren(title);
-    if (units) this.heading.append(" ", element("small", {}, [`(${units})`]));
+    this.title.replaceChildren(heading(title, units));
     this.entries = lines.map((line) => ({ line, mark: element("i", {}), value: element("b", {}) }));
     for (const { line, mark } of this.entries) mark.className = line.role === "dots" ? "dot" : style(line.role);
     const items = this.entries.map(({ line, mark, value }) => element("li", {}, [mark, line.label, " ", value]));
@@ -96,8 +91,10 @@ export class Chart {
       if (spec.reference) this.drawReference();
       for (const band of spec.bands ?? []) this.axes.drawBand(time.values, band.low, band.high, theme.line("mean"));
       for (const line of [...spec.lines].reverse()) {
-        if (line.role === "dots") this.axes.drawDots(time.values, line.values, theme.line("dots"));
-        else this.axes.drawLine(time.values, line.values, theme.line(line.role), { dash: dashes(line.role), joined: line.joined });
+        const colour = theme.line(line.role);
+        const how = { dash: dashes(line.role), joined: line.joined };
+        if (line.role === "dots") this.axes.drawDots(time.values, line.values, colour);
+        else this.axes.drawLine(time.values, line.values, colour, how);
       }
     });
     for (const { line, mark } of this.entries) mark.style.color = theme.line(line.role);

@@ -8,6 +8,30 @@ export function element(name, attributes = {}, children = []) {
   return made;
 }
 
+/** Return the heading of a chart; a remark follows in brackets, smaller. */
+export function heading(title, remark = "") {
+  const made = element("h3", {}, [title]);
+  if (remark) made.append(" ", element("small", {}, [`(${remark})`]));
+  return made;
+}
+
+/**
+ * Add the frame of a chart to a room: a caption, a list of entries, and a plot with a canvas. `still` charts do not
+ * move the time. Returns {figure, legend, plot, canvas}.
+ */
+export function chartFrame(room, id, caption, still = true) {
+  const canvas = element("canvas", { role: "img" });
+  const plot = element("div", { class: still ? "plot still" : "plot" }, [canvas]);
+  const legend = element("ul", { class: "legend" });
+  const figure = element("figure", { class: "chart", "data-id": id }, [
+    element("figcaption", {}, caption),
+    legend,
+    plot,
+  ]);
+  room.append(figure);
+  return { figure, legend, plot, canvas };
+}
+
 /**
  * Draw a view when its element comes into sight or changes its size, and, while it is in sight, at every row: what
  * nobody sees costs nothing. `resize` is called before the first drawing and after every change of the size.

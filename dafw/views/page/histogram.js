@@ -1,7 +1,7 @@
 // Where the readings fall among what was expected of them: even if the belief is honest.
 
 import { Axes } from "./axes.js";
-import { element, fitted, follow } from "./dom.js";
+import { chartFrame, element, fitted, follow, heading } from "./dom.js";
 
 const BINS = 10;
 
@@ -10,11 +10,10 @@ export class Histogram {
   constructor(data, theme, player, room) {
     Object.assign(this, { data, theme, player });
     this.refresh();
-    this.canvas = element("canvas", { role: "img" });
-    this.plot = element("div", { class: "plot still" }, [this.canvas]);
     this.told = element("li", {});
-    const heading = element("h3", {}, ["Ranks of the readings ", element("small", {}, ["(number of readings)"])]);
-    room.append(element("figure", { class: "chart", "data-id": "ranks" }, [element("figcaption", {}, [heading]), element("ul", { class: "legend" }, [this.told]), this.plot]));
+    const title = heading("Ranks of the readings", "number of readings");
+    Object.assign(this, chartFrame(room, "ranks", [title]));
+    this.legend.append(this.told);
     theme.onChange(() => this.draw());
     const resize = () => {
       this.size = fitted(this.canvas, this.plot);
@@ -61,7 +60,8 @@ export class Histogram {
     const sum = now.reduce((total, count) => total + count, 0);
     const text = `${sum} of ${this.ranks.length} readings; dotted: an honest belief, shaded: nine in ten of its bars`;
     this.told.textContent = text;
-    if (!this.player.playing) this.canvas.setAttribute("aria-label", `Histogram of ranks from 0 to 1: ${now.join(", ")}; ${text}`);
+    if (this.player.playing) return;
+    this.canvas.setAttribute("aria-label", `Histogram of ranks from 0 to 1: ${now.join(", ")}; ${text}`);
   }
 }
 

@@ -35,9 +35,8 @@ export function followRun(state, refresh, say) {
 export async function take(data, next) {
   const values = await Promise.all((next.fields?.panels ?? []).map(unpackField));
   Object.assign(data.time, next.time);
-  for (const key of ["vehicles", "readings", "sources", "wind", "scores", "curves", "innovations", "words", "subtitle"]) {
-    data[key] = next[key];
-  }
+  const whole = ["vehicles", "readings", "sources", "wind", "scores", "curves", "innovations", "words"];
+  for (const key of whole) data[key] = next[key];
   if (data.fields && next.fields) Object.assign(data.fields, next.fields);
   return (next.fields?.panels ?? []).map((panel, k) => ({ ...panel, values: values[k] }));
 }

@@ -26,24 +26,22 @@ async function showRun(data) {
   const panels = data.fields?.panels ?? [];
   const unpacked = await Promise.all(panels.map(unpackField));
   const fields = panels.map((panel, k) => ({ ...panel, values: unpacked[k] }));
+  const describe = (row) => described(data, row);
   const views = data.map ? await showMaps(data, fields, theme, player) : {};
   const { maps } = views;
+  if (maps) maps.describe = describe;
   if (!data.map && fields.length) views.profile = new Profile(data, fields, theme, player);
-
-  const describe = (row) => described(data, row);
   connectControls(player, data.time, describe);
-  if (maps) player.onState((playing) => playing || maps.describe(describe(player.row)));
   views.charts = new Map();
   showCharts(data, views, theme, player);
   showWords(data);
-  if (data.live) {
+  if (data.live && !data.live.ended) {
     player.row = player.count - 1;
     followRun(data.live.state, (next) => refresh(data, next, views, theme, player), (text) => {
       byId("subtitle").textContent = [subtitle(data), text].join(" · ");
     });
   }
   player.draw();
-  maps?.describe(describe(player.row));
   window.dafw = { player, theme, maps };
 }
 
@@ -99,7 +97,8 @@ function showCharts(data, views, theme, player) {
     }
   }
   const room = document.querySelector("#trust .charts");
-  if (data.readings.rank?.some((rank) => rank !== null)) views.histogram ??= new Histogram(data, theme, player, room);
+  const ranked = data.readings.rank?.some((rank) => rank !== null);
+  if (ranked) views.histogram ??= new Histogram(data, theme, player, room);
   if (data.scores) views.scores ??= new Scores(data, theme, player, room);
   byId("curves").hidden = !data.curves.length;
   byId("trust").hidden = !room.childElementCount;
@@ -117,7 +116,8 @@ function described(data, row) {
 
 function complain(error) {
   const problem = byId("problem");
-  problem.textContent = `This page cannot be shown: ${error instanceof Error ? error.message : error}. It needs a browser of 2023 or later.`;
+  const told = error instanceof Error ? error.message : error;
+  problem.textContent = `This page cannot be shown: ${told}. It needs a browser of 2023 or later.`;
   problem.hidden = false;
   throw error;
 }

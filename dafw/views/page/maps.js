@@ -8,7 +8,7 @@ import { Overlay } from "./overlay.js";
 import { Raster } from "./raster.js";
 
 const MOST_PIXELS = 120000; // of one map; a larger one is enlarged by the browser
-const SPREAD = { magma: "viridis", viridis: "cividis", cividis: "magma" }; // the spread has other colours than the field
+const SPREAD = { magma: "viridis", viridis: "cividis", cividis: "magma" }; // the colours of the spread are others
 const LATER = { mean: "smoothed_mean", spread: "smoothed_spread" };
 
 /** All maps of a run. `fields` are the decoded ones: {key, title, values}; without any there is one map of places. */
@@ -25,6 +25,7 @@ export class Maps {
     this.colours = "magma";
     this.scale = "end";
     this.onPick = () => {};
+    this.describe = () => ""; // what is shown at a row, in words
     this.room = document.querySelector("#maps .maps");
     const shown = fields.filter(({ key }) => !Object.values(LATER).includes(key));
     const panels = shown.length ? shown : [{ key: "places", title: "Places" }];
@@ -153,6 +154,10 @@ export class Maps {
       if (panel.overlay.width) panel.overlay.draw(row, this.theme.colours, this.withRoute, this.picked);
     }
     if (this.scale === "now") showBars(this);
+    if (this.player.playing) return; // a label that changes many times a second helps nobody
+    for (const panel of this.panels) {
+      panel.under.setAttribute("aria-label", `${panel.title}: map, ${this.describe(row)}`);
+    }
   }
 
   /** Say what is known of a panel at a row: ERR, or that the field is of another time. */
@@ -162,11 +167,6 @@ export class Maps {
     const { key } = this.field(panel);
     const line = curves.find(({ id }) => id === "err")?.lines.find(({ role }) => role === key);
     return line ? `ERR ${withUnits(line.values[row], "%")}` : "";
-  }
-
-  /** Say in words what the maps show, for those who do not see them. */
-  describe(text) {
-    for (const panel of this.panels) panel.under.setAttribute("aria-label", `${panel.title}: map, ${text}`);
   }
 }
 

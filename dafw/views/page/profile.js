@@ -1,7 +1,7 @@
 // A state without places in the plane: its values over the index, at the time that is shown.
 
 import { Axes, verticalRange } from "./axes.js";
-import { element, fitted, follow } from "./dom.js";
+import { chartFrame, element, fitted, follow, heading } from "./dom.js";
 import { dashes } from "./theme.js";
 
 const LABELS = { truth: "truth", mean: "belief", free: "free run", smoothed_mean: "as revised later" };
@@ -14,14 +14,13 @@ export class Profile {
     this.keys = Object.keys(LABELS).filter((key) => this.fields[key]);
     this.nodes = fields[0].nodes;
     this.index = Array.from({ length: this.nodes }, (_, k) => k);
-    this.canvas = element("canvas", { role: "img" });
-    this.plot = element("div", { class: "plot still" }, [this.canvas]);
-    this.marks = this.keys.map((key) => element("i", { class: { free: "dashed", smoothed_mean: "dotted" }[key] ?? "" }));
-    const items = this.keys.map((key, k) => element("li", {}, [this.marks[k], LABELS[key]]));
-    const heading = element("h3", {}, [`${data.variable.title} over its index`]);
-    if (data.variable.units) heading.append(" ", element("small", {}, [`(${data.variable.units})`]));
+    const styles = { free: "dashed", smoothed_mean: "dotted" };
+    this.marks = this.keys.map((key) => element("i", { class: styles[key] ?? "" }));
     const room = document.querySelector("#profile .charts");
-    room.append(element("figure", { class: "chart wide" }, [element("figcaption", {}, [heading]), element("ul", { class: "legend" }, items), this.plot]));
+    const title = heading(`${data.variable.title} over its index`, data.variable.units);
+    Object.assign(this, chartFrame(room, "profile", [title]));
+    this.figure.classList.add("wide");
+    this.legend.append(...this.keys.map((key, k) => element("li", {}, [this.marks[k], LABELS[key]])));
     document.getElementById("profile").hidden = false;
     this.refresh(fields);
     theme.onChange(() => this.draw());
@@ -62,6 +61,8 @@ export class Profile {
       this.marks[k].style.color = this.theme.line(key);
     });
     const time = this.data.time;
-    if (!this.player.playing) this.canvas.setAttribute("aria-label", `${this.data.variable.title} over its index at t = ${time.values[rows[at]]} ${time.units}`);
+    if (this.player.playing) return;
+    const label = `${this.data.variable.title} over its index at t = ${time.values[rows[at]]} ${time.units}`;
+    this.canvas.setAttribute("aria-label", label);
   }
 }

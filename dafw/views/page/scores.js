@@ -1,6 +1,6 @@
 // The policy's scores: how much each direction promised at the decision that led to the row that is shown.
 
-import { element, fitted, follow } from "./dom.js";
+import { chartFrame, element, fitted, follow, heading } from "./dom.js";
 import { formatNumber, tickLabel } from "./format.js";
 
 const FULL = 2 * Math.PI;
@@ -10,12 +10,10 @@ export class Scores {
   constructor(data, theme, player, room) {
     Object.assign(this, { data, theme, player });
     this.vehicle = 0;
-    this.canvas = element("canvas", { role: "img" });
-    this.plot = element("div", { class: "plot still" }, [this.canvas]);
     this.told = element("li", {});
-    const kind = data.scores.kind === "sector" ? "sectors" : "headings";
-    const caption = element("figcaption", {}, [element("h3", {}, [`Scores of the ${kind} at the decision`]), ...this.choice()]);
-    room.append(element("figure", { class: "chart", "data-id": "scores" }, [caption, element("ul", { class: "legend" }, [this.told]), this.plot]));
+    const title = heading(`Scores of the ${data.scores.kind}s at the decision`);
+    Object.assign(this, chartFrame(room, "scores", [title, ...this.choice()]));
+    this.legend.append(this.told);
     theme.onChange(() => this.draw());
     const resize = () => {
       this.size = fitted(this.canvas, this.plot);

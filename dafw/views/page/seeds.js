@@ -17,9 +17,11 @@ export class Seeds {
     this.low = Math.min(ends[0], success) / 1.3;
     this.high = Math.max(ends[1], success, 100) * 1.3;
     const pages = groups.some(({ points }) => points.some(({ page }) => page));
-    document.querySelector("#seeds .hint").textContent =
-      `Blue: below ${formatNumber(success)} %, a success. Orange: above. A cross at the right: a run that failed.` +
-      (pages ? " A point leads to the page of its run." : " Pages of single runs are made by: dafw report FOLDER --runs.");
+    const hint = [
+      `Blue: below ${formatNumber(success)} %, a success. Orange: above. A cross at the right: a run that failed.`,
+      pages ? "A point leads to the page of its run." : "dafw report FOLDER --runs makes the pages of all runs, too.",
+    ];
+    document.querySelector("#seeds .hint").textContent = hint.join(" ");
     document.getElementById("seeds").hidden = false;
     new ResizeObserver(() => this.draw()).observe(this.room);
     this.draw();
@@ -39,14 +41,16 @@ export class Seeds {
 
   strip({ name, points }, labelled) {
     const height = HEIGHT + (labelled ? 18 : 0);
-    const svg = shape("svg", { viewBox: `0 0 ${this.width} ${height}`, height, role: "group", "aria-label": `Seeds of ${name}` });
+    const label = { role: "group", "aria-label": `Seeds of ${name}` };
+    const svg = shape("svg", { viewBox: `0 0 ${this.width} ${height}`, height, ...label });
     for (const tick of ticks(this.low, this.high)) {
       const x = this.toX(tick);
       svg.append(shape("line", { x1: x, x2: x, y1: 0, y2: HEIGHT, style: { stroke: "var(--grid)" } }));
       if (labelled) svg.append(shape("text", { x, y: HEIGHT + 14, "text-anchor": "middle" }, `${tickLabel(tick)} %`));
     }
     const limit = this.toX(this.success);
-    svg.append(shape("line", { x1: limit, x2: limit, y1: 0, y2: HEIGHT, style: { stroke: "var(--soft)", strokeDasharray: "3 3" } }));
+    const dashed = { stroke: "var(--soft)", strokeDasharray: "3 3" };
+    svg.append(shape("line", { x1: limit, x2: limit, y1: 0, y2: HEIGHT, style: dashed }));
     points.forEach((point, k) => svg.append(this.point(point, name, k)));
     return element("figure", { class: "strip" }, [element("figcaption", {}, [name]), svg]);
   }

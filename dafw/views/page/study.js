@@ -33,7 +33,9 @@ export function showStudy(data) {
 
 function showTable({ headings, rows }) {
   const head = element("tr", {}, headings.map((text) => element("th", { scope: "col" }, [text])));
-  const lines = rows.map(([name, ...cells]) => element("tr", {}, [element("th", { scope: "row" }, [name]), ...cells.map(cell)]));
+  const lines = rows.map(([name, ...cells]) => {
+    return element("tr", {}, [element("th", { scope: "row" }, [name]), ...cells.map(cell)]);
+  });
   const table = element("table", {}, [element("thead", {}, [head]), element("tbody", {}, lines)]);
   document.querySelector("#table .table").append(table);
   document.getElementById("table").hidden = false;

@@ -1,6 +1,7 @@
 // Light or dark: as the system says, until the switch is used. Canvases are told, because they do not follow CSS.
 
-const NAMES = ["page", "text", "soft", "accent", "truth", "belief", "free", "revised", "grid", "edge", "building", "wall", "route", "halo"];
+const LINES = ["truth", "belief", "free", "revised"];
+const NAMES = ["text", "soft", "accent", ...LINES, "grid", "edge", "building", "wall", "route", "halo"];
 
 /** The colours of the page as canvases need them. */
 export class Theme {

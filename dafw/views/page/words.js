@@ -12,7 +12,9 @@ export function showWords(data) {
   const started = "This run was started from Python: no command repeats it.";
   room.append(words.command ? command(words.command, data.kind) : element("p", { class: "wide" }, [started]));
   for (const { title, rows } of words.tables) {
-    const lines = rows.map(([name, value]) => element("tr", {}, [element("th", { scope: "row" }, [name]), element("td", {}, [value])]));
+    const lines = rows.map(([name, value]) => {
+      return element("tr", {}, [element("th", { scope: "row" }, [name]), element("td", {}, [value])]);
+    });
     room.append(element("table", {}, [element("caption", {}, [title]), element("tbody", {}, lines)]));
   }
   if (words.configuration) {
@@ -38,7 +40,8 @@ function command(text, kind) {
       button.textContent = "Selected";
     }
   });
-  const line = element("div", { class: "line" }, [element("h3", {}, [`The command that repeats this ${kind}`]), button]);
+  const title = element("h3", {}, [`The command that repeats this ${kind}`]);
+  const line = element("div", { class: "line" }, [title, button]);
   return element("div", { class: "wide command" }, [line, shown]);
 }
 
@@ -48,15 +51,22 @@ function exactness({ fields, time, variable }) {
   const shown = fields.panels.filter(({ key }) => !key.startsWith("smoothed"));
   const errors = shown.map(({ title, error }) => `${title.toLowerCase()} ${withUnits(error, variable.units)}`);
   const bits = fields.panels[0].bits;
-  const rows = fields.rows.length === time.values.length ? "" : ` Fields are shown for ${fields.rows.length} of ${time.values.length} times.`;
-  return `Fields of ${variable.name} are rounded to ${bits} bits; at most they are off by: ${errors.join(", ")}.${rows} Curves have six digits.`;
+  const [some, all] = [fields.rows.length, time.values.length];
+  const sentences = [
+    `Fields of ${variable.name} are rounded to ${bits} bits; at most they are off by: ${errors.join(", ")}.`,
+    some === all ? "" : `Fields are shown for ${some} of ${all} times.`,
+    "Curves have six digits.",
+  ];
+  return sentences.filter((sentence) => sentence).join(" ");
 }
 
 /** Return the line under the title. */
 export function subtitle(data) {
   const { words, seed, name, time } = data;
   const end = time.values[time.values.length - 1];
-  const status = data.live && !data.live.ended ? "" : words.status; // of a run that goes on the file says "interrupted"
-  const parts = [data.title.includes(name) ? "" : name, seed === "" ? "" : `seed ${seed}`, status, `${tickLabel(end)} ${time.units}`];
+  // Of a run that goes on the file says "interrupted".
+  const status = data.live && !data.live.ended ? "" : words.status;
+  const named = data.title.includes(name) ? "" : name;
+  const parts = [named, seed === "" ? "" : `seed ${seed}`, status, `${tickLabel(end)} ${time.units}`];
   return [parts.filter((part) => part).join(" · "), words.error].filter((part) => part).join(": ");
 }
