@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -12,6 +13,10 @@ from dafw.core.space import Array, StateSpace
 
 SCORES = ("err", "err_forecast", "err_free", "rmse", "spread")
 INNOVATION = ("innovation_mean", "innovation_rms")
+
+
+# scipy.special has it for arrays; to import that takes longer than all the numbers of a small model's run.
+_ERFC: Any = np.frompyfunc(math.erfc, 1, 1)
 
 
 def relative_error(difference: float, truth: float) -> float:
@@ -87,10 +92,8 @@ def ranks(observation: Observation, forecast: Ensemble, predicted: Array) -> Arr
     of a reading among the members (Hamill 2001, doi:10.1175/1520-0493(2001)129<0550:IORHFV>2.0.CO;2), with the
     average over all draws of the readings' errors in place of one draw.
     """
-    from scipy.special import ndtr
-
-    expected = ndtr((observation.values - predicted) / np.sqrt(observation.variance))
-    return forecast.average(expected)
+    off = (observation.values - predicted) / np.sqrt(2.0 * observation.variance)
+    return forecast.average(0.5 * _ERFC(-off).astype(np.float64))
 
 
 def _norm(values: Array) -> float:
