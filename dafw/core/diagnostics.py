@@ -15,10 +15,6 @@ SCORES = ("err", "err_forecast", "err_free", "rmse", "spread")
 INNOVATION = ("innovation_mean", "innovation_rms")
 
 
-# scipy.special has it for arrays; to import that takes longer than all the numbers of a small model's run.
-_ERFC: Any = np.frompyfunc(math.erfc, 1, 1)
-
-
 def relative_error(difference: float, truth: float) -> float:
     """Return ERR = |difference|_2 / |truth|_2 in per cent; NaN where the truth vanishes or a number is missing.
 
@@ -93,7 +89,21 @@ def ranks(observation: Observation, forecast: Ensemble, predicted: Array) -> Arr
     average over all draws of the readings' errors in place of one draw.
     """
     off = (observation.values - predicted) / np.sqrt(2.0 * observation.variance)
-    return forecast.average(0.5 * _ERFC(-off).astype(np.float64))
+    return forecast.average(0.5 * _erfc(-off))
+
+
+_ERFC: Any = np.frompyfunc(math.erfc, 1, 1)
+FEW = 4096
+"""So many numbers are done one by one sooner than scipy.special is imported, in all cycles of a small run together."""
+
+
+def _erfc(values: Array) -> Array:
+    """Return the complementary error function of ``values``; which code computes it depends on their number alone."""
+    if values.size <= FEW:
+        return np.asarray(_ERFC(values), dtype=np.float64)
+    from scipy.special import erfc
+
+    return np.asarray(erfc(values))
 
 
 def _norm(values: Array) -> float:

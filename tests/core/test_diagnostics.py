@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import kstest, norm
 
 from dafw import ANGLE, Ensemble, StateSpace, Variable
-from dafw.core.diagnostics import error_of, innovation_scores, predicted_spread, ranks, scores
+from dafw.core.diagnostics import FEW, error_of, innovation_scores, predicted_spread, ranks, scores
 from dafw.core.observation import Observation, Selection
 
 ANGLES = StateSpace([Variable("direction", 2, ANGLE), Variable("speed", 1)])
@@ -46,6 +46,20 @@ def test_a_rank_is_the_average_of_what_the_members_expect(covariance):
     assert ranks(reading(2.5, covariance), forecast, forecast.members) == pytest.approx([expected.mean()])
     weighed = Ensemble(forecast.members, LEVEL, weights=[0.5, 0.25, 0.25])
     assert ranks(reading(2.5, covariance), weighed, weighed.members) == pytest.approx([expected @ weighed.weights])
+
+
+def test_ranks_of_many_readings_are_those_of_each():
+    rng = np.random.default_rng(1000)
+    members, values = rng.standard_normal((50, 90)), rng.standard_normal(90)
+    space = StateSpace([Variable("level", 90)])
+    observation = Observation(values, Selection(indices=np.arange(90), covariance=np.full(90, 0.25)))
+    together = ranks(observation, Ensemble(members, space), members)
+    assert members.size > FEW
+    one_by_one = [
+        ranks(reading(value, [0.25]), Ensemble(column[:, np.newaxis], LEVEL), column[:, np.newaxis])[0]
+        for value, column in zip(values, members.T, strict=True)
+    ]
+    np.testing.assert_allclose(together, one_by_one, rtol=1e-13)
 
 
 def test_with_small_errors_a_rank_is_the_share_of_the_members_below():
