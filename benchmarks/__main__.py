@@ -20,10 +20,15 @@ def main(words: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"benchmarks to run, by default all: {[*known]}")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the results to FILE")
+    parser.add_argument("--list", action="store_true", help="say what they measure, and run nothing")
     parser.add_argument("--short", action="store_true", help="smallest cases: only checks that the benchmarks work")
     asked = parser.parse_args(words)
     if unknown := [name for name in asked.names if name not in known]:
         parser.error(f"there is no benchmark '{unknown[0]}' (there are: {', '.join(known)})")
+    if asked.list:
+        for name in asked.names or known:
+            print(f"{name:32} {(known[name].__doc__ or '').partition(chr(10))[0]}")
+        return 0
     results = []
     print(f"{'benchmark':32} {'value':>10} {'required':>10} unit")
     for name in asked.names or known:

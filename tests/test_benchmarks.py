@@ -29,6 +29,13 @@ def test_command_prints_a_table_and_writes_json(tmp_path):
         assert 0.0 < result["value"] < 1.0  # below the error of the readings
 
 
+def test_they_are_listed_with_what_they_measure():
+    done = command("l96.enkf_rmse", "--list")
+    assert done.returncode == 0, done.stderr
+    (line,) = done.stdout.splitlines()
+    assert line.split()[0] == "l96.enkf_rmse" and "median over ten seeds" in line
+
+
 def test_an_unknown_name_is_a_wrong_request():
     done = command("l96.nothing")
     assert done.returncode == 2
