@@ -38,9 +38,7 @@ def along(run: Dataset, field: str | DataArray, line: Any, step: float) -> DataA
 def _at(run: Dataset, values: DataArray, points: Array, dim: str) -> DataArray:
     nodes = nodes_of(run, values)
     if nodes.shape[1] != points.shape[1]:
-        raise RunError(
-            f"the points must have {nodes.shape[1]} coordinates, as the run's nodes have; got {points.shape[1]}"
-        )
+        raise RunError(f"the run's nodes have {nodes.shape[1]} coordinates, the points have {points.shape[1]}")
     if nodes.shape[1] == 1:
         corners, weights = weights_at(Variable("x", len(nodes), coordinates=nodes), None, points)
         outside = (points[:, 0] < nodes.min()) | (points[:, 0] > nodes.max())
