@@ -1,6 +1,7 @@
 """``run.dafw`` of real runs and sweeps: ERR is the run's own, xugrid draws every field, a sweep becomes a table."""
 
 import json
+import shutil
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -10,6 +11,7 @@ import xarray
 import dafw
 from dafw import RunError
 from dafw.commands import main
+from dafw.core.accessor.contents import state_variables
 
 MESH = ["model.site.bounds=[7.995,50.0005,7.9975,50.0022]", "model.mesh.wall_size=30", "model.mesh.across=1"]
 WORDS = [*MESH, "model.release=[-6,-45]", "vehicle.start=[[-6,-20]]", "section=[]", "policy=stationary", "model=ad"]
@@ -44,12 +46,13 @@ def test_opening_a_run_brings_the_accessor_and_its_err_is_the_runs_own(folder):
 
 def test_moments_of_the_recorded_members_are_the_recorded_moments(folder):
     with dafw.open_run(folder) as run:
-        for name in ("concentration", "wind_speed", "wind_direction"):
-            if f"{name}_mean" in run:
-                np.testing.assert_allclose(run.dafw.mean(name), run[f"{name}_mean"], rtol=1e-5, atol=1e-7)
-                np.testing.assert_allclose(run.dafw.spread(name), run[f"{name}_spread"], rtol=1e-4, atol=1e-6)
-        crps, rmse = run.dafw.crps(), run.dafw.rmse()
-        assert (crps >= 0.0).all() and (crps <= rmse + run["concentration_members"].max()).all()
+        names = state_variables(run)
+        assert names[0] == "concentration" and {f"{name}_members" for name in names} <= set(run)
+        for name in names:
+            np.testing.assert_allclose(run.dafw.mean(name), run[f"{name}_mean"], rtol=1e-5, atol=1e-7)
+            np.testing.assert_allclose(run.dafw.spread(name), run[f"{name}_spread"], rtol=1e-4, atol=1e-6)
+        off = np.abs(run["concentration_members"] - run["concentration_truth"]).mean("member")
+        assert (run.dafw.crps(each=True) <= off + 1e-12).all()
 
 
 def test_xugrid_opens_and_draws_every_field_of_a_run(folder):
@@ -82,8 +85,6 @@ def test_a_sweep_is_a_table(sweep_folder):
 
 
 def test_a_table_has_a_row_for_a_run_that_left_nothing(sweep_folder, tmp_path):
-    import shutil
-
     copy = shutil.copytree(sweep_folder, tmp_path / "copy")
     (gone,) = [run for run in copy.glob("*/") if "etkf" in run.name and "seed=1" in run.name]
     shutil.rmtree(gone)
