@@ -85,7 +85,7 @@ prepare() ( # a subshell: the command starts where the caller stands; descriptor
     # .uv/building survives an interruption: what that left behind is not taken for an environment
     if [ -e .uv/building ] || ! runs_dafw "$environment/bin/python"; then : >.uv/building; make_environment; fi
     : >.uv/building
-    say "installing the packages of requirements.lock (about 900 MB on disk)"
+    say "installing the packages of requirements.lock (about 1.1 GB on disk)"
     "$uv" pip install --quiet --python "$environment/bin/python" --require-hashes -r requirements.lock ||
         die 1 "the packages of requirements.lock could not be installed (see above)"
     "$uv" pip install --quiet --python "$environment/bin/python" --no-deps --no-build-isolation -e . ||
@@ -101,6 +101,13 @@ $report"
     mv "$environment/stamp.new" "$environment/stamp"
 )
 
+install_browser() { # for the tests of the page that `dafw report` writes
+    for browser in chromium chromium-browser google-chrome; do
+        if command -v "$browser" >/dev/null; then return; fi
+    done
+    (install_system_packages chromium) || say "no browser: the tests of the page are skipped"
+}
+
 case ${1:-} in -h | --help) sed -n '2,/^set/{/^#/s/^# \{0,1\}//p;}' "$0" && exit ;; esac
 
 if ! up_to_date; then
@@ -114,6 +121,7 @@ case ${1:-} in
     test)
         shift
         cd "$here"
+        install_browser </dev/null >&2
         ruff check
         ruff format --check
         mypy

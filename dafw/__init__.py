@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from dafw.core.sweeps import open_sweep
     from dafw.core.window import Outlook, PastCycle, Window
     from dafw.studies.forecast_scores import forecast_scores
-    from dafw.studies.running import run
+    from dafw.studies.from_python import run
 
 _HOMES = {
     "dafw.core.cycle": ("Cycle", "Parts", "State", "advance"),
@@ -83,7 +83,7 @@ _HOMES = {
     "dafw.authoring.function": ("model_from_function",),
     "dafw.authoring.program": ("ProgramModel",),
     "dafw.studies.forecast_scores": ("forecast_scores",),
-    "dafw.studies.running": ("run",),
+    "dafw.studies.from_python": ("run",),
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 

@@ -10,6 +10,22 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 os.environ.setdefault("HDF5_USE_FILE_LOCKING", "FALSE")
 
 
+@pytest.fixture(scope="session")
+def browser():
+    """Return a Chromium for all tests of pages; where there is none they are skipped."""
+    from browser import installed_browser
+
+    path = installed_browser()
+    if path is None:
+        pytest.skip("there is no Chromium, and the variable DAFW_BROWSER names none")
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        opened = playwright.chromium.launch(executable_path=path)
+        yield opened
+        opened.close()
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Try the pages first, because some of them take minutes: of two processes none then waits long for the other."""
     items.sort(key=lambda item: item.path.name != "test_docs.py")

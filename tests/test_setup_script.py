@@ -246,8 +246,37 @@ def test_setup_installs_all_that_the_doctor_may_name():
     assert set(listed[1].replace("\\\n", "").split()) == expected
 
 
+def _tests_without_a_browser(world: World, user: str) -> tuple[int, str, str]:
+    world.run()
+    world.command("id", f"echo {user}")
+    world.command("apt-get", 'echo "apt-get $*" >>"$LOG"')
+    for name in ("ruff", "mypy", "pytest"):
+        world.command(name, f"echo {name}", world.checkout / ".venv/bin")
+    world.calls("")
+    return world.run("test")
+
+
+def test_the_tests_get_a_browser_where_there_is_none(world):
+    status, out, err = _tests_without_a_browser(world, "0")
+    assert (status, out.split()) == (0, ["ruff", "ruff", "mypy", "pytest"])
+    assert "installing system packages: chromium" in err
+    assert world.calls("install -y --no-install-recommends chromium") == 1
+    world.command("chromium", "")
+    assert world.run("test")[2] == ""
+    assert world.calls("apt-get") == 0
+
+
+def test_without_rights_the_browser_is_named_and_the_other_tests_run(world):
+    status, out, err = _tests_without_a_browser(world, "1000")
+    assert (status, out.split()[-1]) == (0, "pytest")
+    assert "sudo apt-get install -y --no-install-recommends chromium" in err
+    assert err.splitlines()[-1] == "dafw: no browser: the tests of the page are skipped"
+    assert world.calls("apt-get") == 0
+
+
 def _checks(world: World, failing: str) -> tuple[int, list[str]]:
     world.run()
+    world.command("chromium", "")
     for name in ("ruff", "mypy", "pytest"):
         world.command(name, f'echo {name} "$@"; [ "{name} $1" != "{failing}" ] || exit 5', world.checkout / ".venv/bin")
     status, out, _ = world.run("test", "-k", "a word")

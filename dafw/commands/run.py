@@ -25,8 +25,9 @@ from dafw.core.composition import advised, compose, explained, single_runs, stud
 from dafw.core.errors import ComputationError, ConfigurationError
 from dafw.core.experiment import study_from
 from dafw.core.study import Study
+from dafw.studies.following import follow_study
 from dafw.studies.reporting import closing_line
-from dafw.studies.running import SHOWN_BY_BUILDING, follow_study, refuse_run, run_study
+from dafw.studies.running import SHOWN_BY_BUILDING, refuse_run, run_study
 from dafw.studies.stopping import Interrupted
 
 STATUSES = ".status"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -51,28 +52,58 @@ def scores(
     return found
 
 
-def innovation_scores(observation: Observation, forecast: Ensemble, predicted: Array, mean: Array) -> dict[str, float]:
+def predicted_spread(forecast: Ensemble, predicted: Array, mean: Array) -> Array:
+    """Return the standard deviation (m,) of the members' predictions (N, m), without the errors of the readings.
+
+    ``mean`` (m,) is the mean of ``predicted``. As in every spread, N - 1 takes the place of N, or what weights leave.
+    """
+    off = predicted - mean
+    if forecast.weights is None:
+        return np.asarray(np.sqrt(np.einsum("ij,ij->j", off, off) / max(1, len(forecast) - 1)))
+    share = max(1e-12, 1.0 - 1.0 / forecast.effective_size)
+    return np.asarray(np.sqrt(np.einsum("i,ij,ij->j", forecast.weights, off, off) / share))
+
+
+def innovation_scores(observation: Observation, mean: Array, spread: Array) -> dict[str, float]:
     """Return ``INNOVATION``: mean and root mean square of the normalised innovations; NaN without readings.
 
     An innovation y - mean(H x) is divided by the standard deviation that the forecast expects it to have, the root of
-    its predicted variance plus that of R. ``mean`` (m,) is the mean of ``predicted`` (N, m). If the spread of the
-    belief matches its error, the mean is near 0 and the root mean square near 1.
+    its predicted variance plus that of R. ``mean`` and ``spread`` (m,) are those of the predictions. If the spread of
+    the belief matches its error, the mean is near 0 and the root mean square near 1.
     """
     if observation.values.size == 0:
         return dict.fromkeys(INNOVATION, math.nan)
-    covariance = observation.covariance
-    expected = covariance if covariance.ndim == 1 else np.diag(covariance)
-    off = predicted - mean
-    if forecast.weights is None:
-        expected = expected + np.einsum("ij,ij->j", off, off) / max(1, len(forecast) - 1)
-    else:
-        share = max(1e-12, 1.0 - 1.0 / forecast.effective_size)
-        expected = expected + np.einsum("i,ij,ij->j", forecast.weights, off, off) / share
-    normalised = (observation.values - mean) / np.sqrt(expected)
+    normalised = (observation.values - mean) / np.sqrt(spread**2 + observation.variance)
     return {
         "innovation_mean": float(np.add.reduce(normalised)) / normalised.size,
         "innovation_rms": root_mean_square(normalised),
     }
+
+
+def ranks(observation: Observation, forecast: Ensemble, predicted: Array) -> Array:
+    """Return the share (m,) of the readings that the forecast expects which are below the one that came.
+
+    Every member i expects the normal distribution about its prediction with the variance of R, so the share is
+    sum_i w_i Phi((y - H x_i) / sqrt(R)). It is evenly distributed on [0, 1] if the forecast is honest. This is the rank
+    of a reading among the members (Hamill 2001, doi:10.1175/1520-0493(2001)129<0550:IORHFV>2.0.CO;2), with the
+    average over all draws of the readings' errors in place of one draw.
+    """
+    off = (observation.values - predicted) / np.sqrt(2.0 * observation.variance)
+    return forecast.average(0.5 * _erfc(-off))
+
+
+_ERFC: Any = np.frompyfunc(math.erfc, 1, 1)
+FEW = 4096
+"""So many numbers are done one by one sooner than scipy.special is imported, in all cycles of a small run together."""
+
+
+def _erfc(values: Array) -> Array:
+    """Return the complementary error function of ``values``; which code computes it depends on their number alone."""
+    if values.size <= FEW:
+        return np.asarray(_ERFC(values), dtype=np.float64)
+    from scipy.special import erfc
+
+    return np.asarray(erfc(values))
 
 
 def _norm(values: Array) -> float:

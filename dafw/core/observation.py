@@ -218,6 +218,11 @@ class Observation:
         """R as the filter is told: (m,) where diagonal, else (m, m)."""
         return self.operator.covariance
 
+    @property
+    def variance(self) -> Array:
+        """The diagonal of R (m,)."""
+        return self.covariance if self.covariance.ndim == 1 else np.diag(self.covariance)
+
 
 def merged_observations(observations: Sequence[Observation], time: float) -> Observation:
     """Return several observations merged into one at ``time`` (s); a single one of that time is returned unchanged."""

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from dafw.core.cycle import PHASES, Cycle, Parts, State
-from dafw.core.diagnostics import INNOVATION, SCORES, error_of, innovation_scores, scores
+from dafw.core.diagnostics import INNOVATION, SCORES, error_of, innovation_scores, predicted_spread, ranks, scores
 from dafw.core.ensemble import Ensemble
 from dafw.core.observation import Observation, Selection
 from dafw.core.run_file import STAGES, RunFile
@@ -137,8 +137,14 @@ class Record:
         seconds = cycle.seconds | {"record": self._recording}
         row: dict[str, Any] = {"phase_seconds": [seconds.get(phase, np.nan) for phase in PHASES]}
         expected = cycle.forecast.average(cycle.predicted)
-        row |= _observation_row(cycle, expected, self._space, self._file.sensor_numbers)
-        row |= innovation_scores(cycle.observation, cycle.forecast, cycle.predicted, expected)
+        spread = predicted_spread(cycle.forecast, cycle.predicted, expected)
+        told = {
+            "observation_forecast_mean": expected,
+            "observation_forecast_spread": spread,
+            "observation_rank": ranks(cycle.observation, cycle.forecast, cycle.predicted),
+        }
+        row |= _observation_row(cycle, told, self._space, self._file.sensor_numbers)
+        row |= innovation_scores(cycle.observation, expected, spread)
         for kind, diagnostics in cycle.diagnostics.items():
             for name, diagnostic in diagnostics.items():
                 row[f"{kind}_{name}"] = values = np.asarray(diagnostic.values)
@@ -181,22 +187,24 @@ class Record:
                 self._file.close()
 
 
-def _observation_row(cycle: Cycle, expected: Array, space: StateSpace, numbers: Numbers) -> dict[str, Any]:
+def _observation_row(cycle: Cycle, told: Mapping[str, Array], space: StateSpace, numbers: Numbers) -> dict[str, Any]:
     """Return the readings that arrived in a cycle: those used now, late ones, and dropped ones.
 
-    ``expected`` (m,) is what the forecast predicts for those used now. ``numbers`` returns the numbers of sensors.
+    ``told`` has by name what the forecast says (m,) of those used now; it says nothing of the others. ``numbers``
+    returns the numbers of sensors.
     """
     readings = cycle.readings
     # The filter uses these readings together at the end of the cycle, but each was taken at its own time.
-    row = _readings(readings.now, np.zeros(readings.times.size, dtype="i1"), readings.times, expected, space, numbers)
+    row = _readings(readings.now, np.zeros(readings.times.size, dtype="i1"), readings.times, space, numbers)
+    row |= told
     others = [(one, 1) for _, one in readings.late] + [(one, 2) for one in readings.dropped]
     if not others:
         return row
     rows = [row]
     for one, use in others:
         size = one.values.size
-        uses, times, unknown = np.full(size, use, dtype="i1"), np.full(size, one.time), np.full(size, np.nan)
-        rows.append(_readings(one, uses, times, unknown, space, numbers))
+        uses, times = np.full(size, use, dtype="i1"), np.full(size, one.time)
+        rows.append(_readings(one, uses, times, space, numbers))
     missing = {"observation_node": -1, "observation_sensor": -1, "observation_x": np.nan, "observation_y": np.nan}
     names = dict.fromkeys(name for one in rows for name in one)
     return {
@@ -207,15 +215,12 @@ def _observation_row(cycle: Cycle, expected: Array, space: StateSpace, numbers: 
     }
 
 
-def _readings(
-    observation: Observation, uses: Any, times: Array, expected: Array, space: StateSpace, numbers: Numbers
-) -> dict[str, Any]:
+def _readings(observation: Observation, uses: Any, times: Array, space: StateSpace, numbers: Numbers) -> dict[str, Any]:
     """Return the row's variables of readings taken at ``times`` (m,); ``uses`` (m,) say how they were used."""
-    operator, covariance = observation.operator, observation.covariance
+    operator = observation.operator
     row: dict[str, Any] = {
         "observation_value": observation.values,
-        "observation_forecast_mean": expected,
-        "observation_variance": covariance if covariance.ndim == 1 else np.diag(covariance),
+        "observation_variance": observation.variance,
         "observation_time": times,
         "observation_use": uses,
     }

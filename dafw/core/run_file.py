@@ -198,6 +198,8 @@ class RunFile:
         for name, dtype, long_name in (
             ("observation_value", "f8", "readings"),
             ("observation_forecast_mean", "f8", "readings that the belief expected"),
+            ("observation_forecast_spread", "f8", "spread of the readings that the members expected"),
+            ("observation_rank", "f8", "share of the expected readings, errors included, that are below the reading"),
             ("observation_variance", "f8", "error variance that the filter is told"),
             ("observation_node", "i4", "node that was read, -1 for none"),
         ):

@@ -65,6 +65,15 @@ def open_sweep(path: str | Path) -> xarray.Dataset:
     return sweep
 
 
+def sweep_runs(path: Path) -> list[tuple[dict[str, str], Path | None]]:
+    """Return for every job of a multirun its values of what was swept, as texts, and its folder, None if it has none.
+
+    Raises RunError if the folder is not a multirun.
+    """
+    jobs, names = _jobs(sweep_folder(path))
+    return [({name: job.words.get(name, "") for name in names}, job.folder) for job in jobs]
+
+
 def sweep_folder(path: Path) -> Path:
     """Return the folder of a multirun, given the folder or its multirun.yaml; raises RunError if it is not one."""
     folder = path.parent if path.name == RECORD else path

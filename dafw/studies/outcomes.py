@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,36 +31,53 @@ def gather(study: ManyRuns, folder: Path) -> Dataset:
 
     Numbers over time are also there for runs that failed, up to then. Numbers of the end are those of complete runs.
     """
-    runs: dict[tuple[int, ...], Dataset] = {}
-    shape = (len(study.configurations), len(study.seeds))
-    told: dict[str, Any] = {name: np.full(shape, "", dtype=object) for name in ("status", "error", "folder")}
-    for row, configuration in enumerate(study.configurations):
-        for column, seed in enumerate(study.seeds):
-            place = run_folder(folder, configuration, seed)
-            summary = summary_of_run(place)
-            told["status"][row, column] = str(summary.get("status", "missing"))
-            told["error"][row, column] = str(summary.get("error", ""))
-            told["folder"][row, column] = str(place.relative_to(folder))
-            if told["status"][row, column] in ("complete", "failed"):
-                found = _results(place, summary)
-                runs |= {(row, column): found} if found is not None else {}
-    names = {"configuration": np.array([one.name for one in study.configurations]), "seed": np.array(study.seeds)}
-    joined = join(runs, names, {name: values.astype(np.str_) for name, values in told.items()}).load()
-    # Joined runs have a number that is the same in all of them only once; a tidy file has it for each run.
-    once = {name: values.broadcast_like(joined["status"]) for name, values in joined.items() if not values.dims}
-    joined = joined.assign(once)
+    places = [
+        [run_folder(folder, configuration, seed) for seed in study.seeds] for configuration in study.configurations
+    ]
+    overrides = {one.name: " ".join(one.overrides) for one in study.configurations}
+    joined = joined_results(folder, overrides, study.seeds, places, study.success)
     for axis in study.configurations[0].place:
-        places = [one.place[axis] for one in study.configurations]
-        joined = joined.assign_coords({axis: ("configuration", _numbers(places))})
-    overrides = [" ".join(one.overrides) for one in study.configurations]
-    joined = joined.assign_coords({"overrides": ("configuration", np.array(overrides))})
+        found = [one.place[axis] for one in study.configurations]
+        joined = joined.assign_coords({axis: ("configuration", _numbers(found))})
     joined.attrs = {"title": study.title, "study": study.name, "success_below_percent": study.success}
-    joined = joined.assign(time_to_success=_time_to_success(joined, study.success))
     if study.floor is not None:
         floors = known_floors(study, folder)
         values = [floors.get(one.name, np.nan) for one in study.configurations]
         long_name = "smallest ERR at the end that was found with constant parameters"
         joined["floor"] = Variable("configuration", values, {"units": "percent", "long_name": long_name})
+    return joined
+
+
+def joined_results(
+    folder: Path,
+    overrides: Mapping[str, str],
+    seeds: Sequence[int],
+    places: Sequence[Sequence[Path | None]],
+    success: float,
+) -> Dataset:
+    """Return the results of runs in a folder, with the dimensions configuration, seed and time.
+
+    ``overrides`` are those of each configuration, by its name; ``places`` has for each configuration and seed the
+    folder of the run, or None if there is none; ``success`` is the ERR (per cent) below which a run has succeeded.
+    """
+    runs: dict[tuple[int, ...], Dataset] = {}
+    told = {name: np.full((len(overrides), len(seeds)), "", dtype=object) for name in ("status", "error", "folder")}
+    for row, line in enumerate(places):
+        for column, place in enumerate(line):
+            summary = {} if place is None else summary_of_run(place)
+            told["status"][row, column] = str(summary.get("status", "missing"))
+            told["error"][row, column] = str(summary.get("error", ""))
+            told["folder"][row, column] = "" if place is None else str(place.relative_to(folder))
+            if place is not None and told["status"][row, column] in ("complete", "failed"):
+                found = _results(place, summary)
+                runs |= {(row, column): found} if found is not None else {}
+    names = {"configuration": np.array([*overrides]), "seed": np.array(seeds)}
+    joined = join(runs, names, {name: values.astype(np.str_) for name, values in told.items()}).load()
+    # Joined runs have a number that is the same in all of them only once; a tidy file has it for each run.
+    once = {name: values.broadcast_like(joined["status"]) for name, values in joined.items() if not values.dims}
+    joined = joined.assign(once)
+    joined = joined.assign_coords({"overrides": ("configuration", np.array([*overrides.values()]))})
+    joined = joined.assign(time_to_success=_time_to_success(joined, success))
     joined["seed"].attrs["long_name"] = "seed of every random number of a run"
     joined["status"].attrs["long_name"] = "how a run ended: complete, failed, interrupted or missing"
     return joined

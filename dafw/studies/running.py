@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import logging
 import sys
-from collections.abc import Mapping
 from contextlib import suppress
-from datetime import datetime
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -18,16 +16,11 @@ from dafw.core.cycle import Cycle, Parts, State, advance, start
 from dafw.core.ensemble import Vehicle
 from dafw.core.errors import (
     ComputationError,
-    ConfigurationError,
     DafwError,
-    DivergenceError,
     RecordError,
     RunError,
-    SolverError,
 )
 from dafw.core.files import claim, write_atomically
-from dafw.core.forecasts.ahead import run_ahead
-from dafw.core.forecasts.areas import places_of
 from dafw.core.forecasts.forecast_file import FILE
 from dafw.core.plugin import by_plugin
 from dafw.core.progress import progress
@@ -80,23 +73,6 @@ def run_study(study: Study, folder: Path, communicator: Any = None) -> dict[str,
         if stop.asked:
             raise Interrupted(f"all {run.summary.cycles} cycles are kept in {folder}")
     return run.summary.values()
-
-
-def follow_study(study: Study, communicator: Any) -> None:
-    """Take part in rank 0's run as another rank, without writing any file; raises the errors of the run."""
-    parts, vehicle = study.prepare(communicator)
-    with stop_signals() as stop, threadpool_limits(limits=1, user_api="blas"):
-        state = start(parts, study.members, vehicle)
-        stop.patient = True
-        plan = study.forecast
-        for done in range(1, study.cycles + 1):
-            state = advance(parts, state).state
-            if plan.is_due(done, parts.model.dt):
-                places = places_of(plan, parts.model.space.variables[0], parts.model.domain)
-                with suppress(SolverError, DivergenceError):  # rank 0 says so
-                    run_ahead(parts, state, plan, places)
-            if stop.agreed(communicator) and done < study.cycles:
-                raise Interrupted
 
 
 def refuse_run(folder: Path, communicator: Any = None) -> None:
@@ -260,53 +236,3 @@ def _draw(folder: Path) -> None:
     except DafwError as error:
         log.warning("a picture cannot be drawn: %s", error)
         print(f"dafw: the run is complete, but a picture cannot be drawn: {error}", file=sys.stderr)
-
-
-def run(what: Study | list[str] | None = None, folder: str | Path | None = None) -> Any:
-    """Run a study and open its result as an xarray.Dataset; the attribute ``folder`` is the folder of the run.
-
-    ``dafw.run(study)`` runs a study made of objects; ``dafw.run(["filter=none", "cycles=20"])`` composes one from
-    overrides, as the command does. The run is written to ``folder``, or to a new folder in ``outputs``. Raises
-    ConfigurationError for a wrong request, RunError if the folder already holds a run, and other DafwErrors if a
-    computation fails.
-    """
-    from dafw.core.runs import open_run
-
-    if isinstance(what, Study):
-        place = Path(folder or f"outputs/{what.name}/{datetime.now():%Y-%m-%d_%H-%M-%S-%f}").resolve()
-        run_study(what, place)
-    else:
-        place = _run_overrides(what or [], folder)
-    dataset = open_run(place)
-    dataset.attrs["folder"] = str(place)
-    return dataset
-
-
-def _run_overrides(overrides: list[str], folder: str | Path | None) -> Path:
-    """Compose and run a study; return its folder."""
-    from dafw.core.composition import advised, compose, study_part
-    from dafw.core.experiment import study_from
-
-    if not isinstance(overrides, list | tuple) or not all(isinstance(override, str) for override in overrides):
-        raise ConfigurationError(f"dafw.run expects a Study, or a list of overrides as strings; got {overrides!r}")
-    config = compose(overrides)
-    composed = study_part(config)
-    place = Path(folder or config.hydra.run.dir).resolve()
-    refuse_run(place)
-    try:
-        study = study_from(composed)
-        study.prepare()
-    except ConfigurationError as error:
-        raise advised(error, overrides) from error
-    keep_configuration(place / ".hydra", composed, overrides)
-    run_study(study, place)
-    return place
-
-
-def keep_configuration(folder: Path, composed: Mapping[str, Any], overrides: list[str]) -> None:
-    """Write a study's configuration, as the command does; before it runs, so that a failed run has it, too."""
-    from omegaconf import OmegaConf
-
-    folder.mkdir(parents=True, exist_ok=True)
-    write_atomically(folder / "config.yaml", OmegaConf.to_yaml(dict(composed)))
-    write_atomically(folder / "overrides.yaml", OmegaConf.to_yaml(overrides))

@@ -86,7 +86,8 @@ def run_task(task: Task) -> Outcome:
 def _run(task: Task) -> None:
     from dafw.core.composition import compose, study_part
     from dafw.core.experiment import study_from
-    from dafw.studies.running import keep_configuration, run_study
+    from dafw.studies.from_python import keep_configuration
+    from dafw.studies.running import run_study
 
     if task.folder.exists():  # what a run left that was interrupted, or that failed and is tried again
         shutil.rmtree(task.folder)

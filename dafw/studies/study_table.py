@@ -30,13 +30,18 @@ def table(summary: Mapping[str, Any]) -> str:
 
     Intervals in brackets are the bootstrap's, those of rates the exact ones.
     """
+    return aligned(cells(summary))
+
+
+def cells(summary: Mapping[str, Any]) -> list[list[str]]:
+    """Return the rows of a study's table, the first of them the headings, as texts."""
     configurations = summary["configurations"]
     shown = [key for key in COLUMNS if any(one.get(key) is not None for one in configurations)]
     rows = [["configuration", "seeds", *(COLUMNS[key][0] for key in shown)]]
     for one in configurations:
         failed = f" ({one['n_failed']} failed)" if one["n_failed"] else ""
         rows.append([one["name"], f"{one['n_seeds']}{failed}", *(_cell(one, key) for key in shown)])
-    return aligned(rows)
+    return rows
 
 
 def _cell(one: Mapping[str, Any], key: str) -> str:

@@ -107,7 +107,7 @@ def draw_runs(paths: Sequence[Path], out: Path | None) -> list[Path]:
     files = [file for path in map(Path, paths) for file in _files_of(path, alone=len(paths) == 1)]
     if not files:
         raise RunError("expected at least one run folder or run.nc to draw, got none")
-    runs = [_load(file) for file in files]
+    runs = [load_run(file) for file in files]
     if len(runs) == 1:
         return draw_all(runs[0], out or files[0].parent / "figures")
     return compare(dict(zip(_labels(files, runs), runs, strict=True)), out or Path("comparison"))
@@ -130,7 +130,7 @@ def _left_nothing(path: Path) -> bool:
     return (path / ".hydra").is_dir() and not (path / "run.nc").exists()
 
 
-def _load(file: Path) -> Dataset:
+def load_run(file: Path) -> Dataset:
     """Read what the pictures need into memory, so that a damaged file is found before anything is drawn."""
     try:
         with open_run(file) as opened:

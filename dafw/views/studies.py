@@ -75,11 +75,11 @@ def plot_study_errors(study: Dataset) -> Figure:
     top, has_free = 0.0, False
     for number, (axes, name) in enumerate(zip(grid.flat, names, strict=False)):
         one = study.sel(configuration=name)
-        time, bands = _times(one), _quantiles(one, "err", (0.05, 0.25, 0.5, 0.75, 0.95))
+        time, bands = times_of(one), quantiles_over_seeds(one, "err", (0.05, 0.25, 0.5, 0.75, 0.95))
         axes.fill_between(time, bands[0], bands[4], color=BELIEF_COLOUR, alpha=0.14, linewidth=0, gid="band 90")
         axes.fill_between(time, bands[1], bands[3], color=BELIEF_COLOUR, alpha=0.28, linewidth=0, gid="band 50")
         axes.plot(time, bands[2], color=BELIEF_COLOUR, linewidth=1.9, gid="median")
-        free = _quantiles(one, "err_free", (0.5,))[0] if "err_free" in one else np.full(time.size, np.nan)
+        free = quantiles_over_seeds(one, "err_free", (0.5,))[0] if "err_free" in one else np.full(time.size, np.nan)
         if (free < BEYOND).any():
             has_free = True
             axes.plot(time, free, "--", color=FREE_COLOUR, linewidth=1.5, gid="free")
@@ -124,7 +124,7 @@ def plot_success(study: Dataset) -> Figure:
         ended = np.isin(one["status"].values, ("complete", "failed"))
         if not ended.any():
             continue
-        last = max(last, float(np.nanmax(_times(one))))
+        last = max(last, float(np.nanmax(times_of(one))))
         since = np.sort(one["time_to_success"].values[ended])
         final = np.sort(np.where(np.isfinite(one["err_final"].values), one["err_final"].values, np.inf)[ended])
         for axes, values in ((left, since), (right, final)):
@@ -212,7 +212,7 @@ def _same(a: np.ndarray, b: np.ndarray) -> bool:
     return a.shape == b.shape and np.array_equal(a, b, equal_nan=True)
 
 
-def _times(one: Dataset) -> np.ndarray:
+def times_of(one: Dataset) -> np.ndarray:
     """Return the times of a configuration's rows; those of its longest run if runs have times of their own."""
     if "time" in one.coords:
         return one["time"].values
@@ -220,7 +220,7 @@ def _times(one: Dataset) -> np.ndarray:
     return np.asarray(times[np.isfinite(times).sum(axis=-1).argmax()])
 
 
-def _quantiles(one: Dataset, name: str, probabilities: tuple[float, ...]) -> np.ndarray:
+def quantiles_over_seeds(one: Dataset, name: str, probabilities: tuple[float, ...]) -> np.ndarray:
     """Return quantiles (k, time) over the seeds that ended; a run that has failed counts as larger than all others."""
     ended = np.isin(one["status"].values, ("complete", "failed"))
     values = one[name].transpose("seed", "time").values[ended]

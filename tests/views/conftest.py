@@ -160,6 +160,14 @@ def plant(
         "innovation_rms": ("time", np.sqrt(np.mean(innovation**2, axis=1))),
         "phase_seconds": (("time", "phase"), np.full((time.size, 2), 0.1), {"units": "s"}),
     }
+    sectors = rng.uniform(0.0, 1.0, (time.size, 1, 8))
+    sectors[0] = np.nan
+    variables |= {
+        "observation_variance": (("time", "observation"), np.where(none, np.nan, 1e-4)),
+        "observation_forecast_spread": (("time", "observation"), reading(0.2 * mean)),
+        "observation_rank": (("time", "observation"), np.where(none, np.nan, rng.uniform(size=seen.shape))),
+        "policy_sector_score": (("time", "vehicle", "sector"), sectors),
+    }
     section = np.array([[620.0, 360.0], [420.0, 335.0], [250.0, 355.0], [90.0, 300.0]])
     coordinates = {
         "time": ("time", time, {"units": "s"}),

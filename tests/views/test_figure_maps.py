@@ -52,7 +52,9 @@ def test_every_vehicle_has_its_own_route(plant_run):
     import xarray as xr
 
     two = xr.concat([plant_run[["vehicle_x", "vehicle_y"]]] * 2, "vehicle", join="override")
-    both = plant_run.drop_vars(["vehicle_x", "vehicle_y"]).assign(two[["vehicle_x", "vehicle_y"]])
+    both = plant_run.drop_vars(["vehicle_x", "vehicle_y", "policy_sector_score"]).assign(
+        two[["vehicle_x", "vehicle_y"]]
+    )
     axes = plot_route({"pair": both}).axes[0]
     assert [len(lines(axes, gid)) for gid in ("route", "start", "end")] == [2, 2, 2]
 

@@ -162,11 +162,11 @@ def test_the_same_run_twice_is_refused(plant_folder):
 
 
 def test_whole_ensembles_of_fields_are_not_read(plant_folder, plant_run, tmp_path):
-    from dafw.views.files import _load
+    from dafw.views.files import load_run
 
     ensemble = np.zeros((plant_run.sizes["time"], plant_run.sizes["member"], plant_run.sizes["node"]))
     plant_run.assign(concentration_members=(("time", "member", "node"), ensemble)).to_netcdf(tmp_path / "all.nc")
-    loaded = _load(tmp_path / "all.nc")
+    loaded = load_run(tmp_path / "all.nc")
     assert "concentration_members" not in loaded and "wind_speed_members" in loaded
 
 

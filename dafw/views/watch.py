@@ -1,0 +1,163 @@
+"""Serves the page of a run to browsers on this machine, with what is new while the run goes on."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from threading import Lock
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
+
+from dafw.core.errors import ConfigurationError, RunError
+from dafw.views.files import load_run
+from dafw.views.report_page import as_json, page
+from dafw.views.report_run import page_of_run
+from dafw.views.report_words import summary_of
+
+HOST = "127.0.0.1"
+ENDED = ("complete", "failed")
+"""States of a run to which nothing is added any more. One that goes on is 'interrupted' until it has ended."""
+SHARE = 0.1
+"""The share of the time that reading the run may take, so that a large one is not slowed down by who looks at it."""
+PAUSE = 0.5
+"""Seconds between two looks for a run that has not begun."""
+PATIENCE = 10
+"""How often a run's file may be found unreadable before it is given up."""
+
+
+class Following:
+    """What is known of a run that may go on, read anew when its files have changed; all viewers share it."""
+
+    def __init__(self, folder: Path, clock: Callable[[], float] = time.monotonic) -> None:
+        self.folder, self._clock = folder, clock
+        self._lock = Lock()
+        self._seen: tuple[float, str] | None = None
+        self._due = 0.0
+        self._data: dict[str, Any] | None = None
+
+    def data(self) -> dict[str, Any]:
+        """Return the data of the page as they are now; raises RunError if the run could never be read."""
+        with self._lock:
+            status = str(summary_of(self.folder).get("status", ""))
+            try:
+                seen = ((self.folder / "run.nc").stat().st_mtime, status)
+            except OSError as error:
+                raise RunError(f"{self.folder}: holds no run (expected a run's folder)") from error
+            # What a run ends with is read at once.
+            is_due = self._clock() >= self._due or status in ENDED
+            if self._data is None or (seen != self._seen and is_due):
+                self._read(seen)
+            assert self._data is not None
+            return self._data
+
+    def _read(self, seen: tuple[float, str]) -> None:
+        begun = self._clock()
+        try:
+            data = page_of_run(load_run(self.folder / "run.nc"), self.folder)
+        except RunError:
+            if self._data is None:
+                raise
+            return  # the run is writing just now: what was read before stays until the next question
+        finally:
+            self._due = self._clock() + (self._clock() - begun) / SHARE
+        self._seen = seen
+        state = f"{len(data['time']['values'])} {seen[1]}"
+        self._data = data | {"live": {"state": state, "ended": seen[1] in ENDED}}
+
+
+class Server(ThreadingHTTPServer):
+    """Answers browsers on this machine alone."""
+
+    daemon_threads = True
+
+    def __init__(self, following: Following, port: int = 0) -> None:
+        self.following = following
+        try:
+            super().__init__((HOST, port), _Answers)
+        except (OSError, OverflowError) as error:
+            raise ConfigurationError(f"watch: port {port} cannot be used ({error})") from error
+
+    @property
+    def address(self) -> str:
+        """Where the page is."""
+        return f"http://{HOST}:{self.server_address[1]}/"
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Say nothing of a browser that went away in the middle of an answer; report anything else."""
+        if not isinstance(sys.exception(), ConnectionError):
+            super().handle_error(request, client_address)
+
+
+class _Answers(BaseHTTPRequestHandler):
+    """The page at /, and at /data what is new since the state that a page has."""
+
+    server: Server
+
+    def do_GET(self) -> None:
+        # A page of elsewhere could reach this server under a name of its own.
+        if self.headers.get("Host", "") not in {f"{name}:{self.server.server_port}" for name in (HOST, "localhost")}:
+            return self._answer(403, "text/plain", "This server answers to its own address only.")
+        asked = urlsplit(self.path)
+        if asked.path not in ("/", "/data"):
+            return self._answer(404, "text/plain", "There is nothing here.")
+        try:
+            data = self.server.following.data()
+        except RunError as error:
+            return self._answer(503, "text/plain", str(error))
+        if asked.path == "/":
+            return self._answer(200, "text/html", page(data))
+        if parse_qs(asked.query).get("state") == [data["live"]["state"]]:
+            return self._answer(204, "application/json", "")
+        return self._answer(200, "application/json", as_json(data))
+
+    def _answer(self, status: int, kind: str, text: str) -> None:
+        content = text.encode("utf-8")
+        self.send_response(status)
+        self.send_header("Content-Type", f"{kind}; charset=utf-8")
+        self.send_header("Cache-Control", "no-store")
+        self.send_header("X-Content-Type-Options", "nosniff")
+        if status != 204:
+            self.send_header("Content-Length", str(len(content)))
+        self.end_headers()
+        self.wfile.write(content)
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """Print nothing for each request."""
+
+
+def watch(path: Path, port: int = 0) -> None:
+    """Serve the page of the run at ``path`` until Ctrl-C, and print its address.
+
+    A run that has not recorded anything yet is waited for. Raises RunError if there is no such folder or its file
+    stays unreadable, ConfigurationError if the port cannot be used.
+    """
+    folder = path if path.is_dir() else path.parent
+    if not folder.is_dir() or (path != folder and path.name != "run.nc"):
+        raise RunError(f"{path}: holds no run (expected a run's folder)")
+    following = Following(folder)
+    try:
+        _wait_for(following)
+        with Server(following, port) as server:
+            print(server.address, flush=True)
+            server.serve_forever()
+    except KeyboardInterrupt:
+        return
+
+
+def _wait_for(following: Following) -> None:
+    """Wait until a run has begun; raises RunError if its file is there for a while and still cannot be read."""
+    if not (following.folder / "run.nc").exists():
+        print(f"dafw: waiting for a run in {following.folder}", file=sys.stderr, flush=True)
+    failed = 0
+    while True:
+        try:
+            following.data()
+            return
+        except RunError:
+            failed += (following.folder / "run.nc").exists()
+            if failed >= PATIENCE:
+                raise
+        time.sleep(PAUSE)

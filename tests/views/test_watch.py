@@ -1,0 +1,182 @@
+"""The page of a run that goes on: it follows the run to its end, for several viewers, on this machine alone."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import re
+import signal
+import subprocess
+import sys
+from contextlib import contextmanager
+from threading import Thread
+
+import pytest
+from browser import open_page
+from playwright.sync_api import expect
+from waiting import PATIENCE
+
+from dafw.commands import main
+from dafw.core.errors import ConfigurationError, RunError
+from dafw.views.watch import Following, Server
+
+
+def record(run, folder, rows, status="interrupted"):
+    """Write the first rows of a run as if it went on; readers see the old file or the new one."""
+    run.isel(time=slice(0, rows)).to_netcdf(folder / "beside.nc")
+    (folder / "beside.nc").rename(folder / "run.nc")
+    (folder / "summary.json").write_text(json.dumps({"status": status, "cycles": rows - 1}))
+
+
+@contextmanager
+def serving(folder):
+    """Serve the run in a folder."""
+    with Server(Following(folder)) as server:
+        thread = Thread(target=server.serve_forever, args=(0.01,))
+        thread.start()
+        try:
+            yield server
+        finally:
+            server.shutdown()
+            thread.join()
+
+
+@contextmanager
+def ended(process):
+    """Kill a process that a failed test leaves behind."""
+    with process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+def ask(server, path, host=None):
+    """Return status and text of what the server answers."""
+    connection = http.client.HTTPConnection(*server.server_address, timeout=PATIENCE)
+    connection.request("GET", path, headers={"Host": host} if host else {})
+    answer = connection.getresponse()
+    text = answer.read().decode()
+    connection.close()
+    return answer.status, text
+
+
+def test_the_page_follows_the_run_for_several_viewers(browser, plant_run, tmp_path):
+    record(plant_run, tmp_path, 6)
+    with serving(tmp_path) as server:
+        viewers = [open_page(browser, server.address) for _ in range(2)]
+        for page in viewers:
+            assert "t = 25 of 25 s" in page.text("#now") and "following" in page.text("#subtitle")
+        viewers[1].go(2)
+        viewers[0].find(".map[data-key=mean] .layers").click(position={"x": 150, "y": 100})
+        before = viewers[0].pixels(".map[data-key=truth] canvas >> nth=0")
+        record(plant_run, tmp_path, 21, "complete")
+        expect(viewers[0].find("#now")).to_contain_text("t = 100 of 100 s")
+        expect(viewers[1].find("#now")).to_contain_text("t = 10 of 100 s")
+        for page in viewers:
+            expect(page.find("#subtitle")).to_contain_text("complete")
+            page.drawn()
+            assert page.find(".chart[data-id=err]").count() == 1 and "20" in page.text("#words")
+            assert page.complaints == [] and all(request.startswith(server.address) for request in page.requests)
+        assert (before != viewers[0].pixels(".map[data-key=truth] canvas >> nth=0")).any()
+        asked = len(viewers[0].requests)
+        late = open_page(browser, server.address)
+        assert "complete" in late.text("#subtitle") and "following" not in late.text("#subtitle")
+        late.tab.context.close()
+    viewers[0].tab.wait_for_timeout(100)
+    assert len(viewers[0].requests) == asked, "a run that has ended is not asked for any more"
+    for page in viewers:
+        page.tab.context.close()
+
+
+def test_a_page_whose_server_is_closed_says_so(browser, ring_run, tmp_path):
+    record(ring_run, tmp_path, 6)
+    with serving(tmp_path) as server:
+        page = open_page(browser, server.address)
+    expect(page.find("#subtitle")).to_contain_text("the server was closed")
+    page.go(2)
+    assert page.find("#profile").is_visible()
+    page.tab.context.close()
+
+
+def test_it_answers_this_machine_and_its_own_name_only(plant_run, tmp_path):
+    record(plant_run, tmp_path, 3)
+    with serving(tmp_path) as server:
+        assert server.server_address[0] == "127.0.0.1"
+        port = server.server_port
+        assert ask(server, "/")[0] == 200 and ask(server, "/", f"localhost:{port}")[0] == 200
+        assert ask(server, "/", f"elsewhere.example:{port}")[0] == 403
+        for path in ("/run.nc", "/../run.nc", "/data/x", "//etc/passwd"):
+            assert ask(server, path)[0] == 404
+        data = json.loads(ask(server, "/data")[1])
+        assert ask(server, f"/data?state={data['live']['state'].replace(' ', '%20')}") == (204, "")
+        assert ask(server, "/data?state=other")[0] == 200
+        with pytest.raises(ConfigurationError, match=f"port {port} cannot be used"):
+            Server(Following(tmp_path), port)
+
+
+def test_reading_takes_a_small_share_of_the_time(plant_run, tmp_path, monkeypatch):
+    now = [0.0]
+
+    def read(file):
+        now[0] += 2.0
+        return load(file)
+
+    from dafw.views import watch
+
+    load = watch.load_run
+    monkeypatch.setattr(watch, "load_run", read)
+    following = Following(tmp_path, clock=lambda: now[0])
+    record(plant_run, tmp_path, 3)
+    assert len(following.data()["time"]["values"]) == 3
+    record(plant_run, tmp_path, 5)
+    now[0] += 10.0
+    assert len(following.data()["time"]["values"]) == 3, "a reading took 2 s, so the next is due after 20"
+    now[0] += 10.5
+    assert len(following.data()["time"]["values"]) == 5
+    record(plant_run, tmp_path, 6, "failed")
+    found = following.data()
+    assert len(found["time"]["values"]) == 6 and found["live"]["ended"]
+
+
+def test_what_cannot_be_read_for_a_moment_is_read_later(plant_run, tmp_path):
+    now = [0.0]
+    following = Following(tmp_path, clock=lambda: now[0])
+    with pytest.raises(RunError, match="holds no run"):
+        following.data()
+    record(plant_run, tmp_path, 3)
+    following.data()
+    (tmp_path / "run.nc").write_bytes(b"half of a")
+    now[0] += 1000.0
+    assert len(following.data()["time"]["values"]) == 3
+    record(plant_run, tmp_path, 4)
+    now[0] += 1000.0
+    assert len(following.data()["time"]["values"]) == 4
+
+
+def test_the_command_follows_a_real_run_to_its_end_and_closes_on_an_interrupt(browser, tmp_path):
+    folder = tmp_path / "real"
+    folder.mkdir()
+    dafw = [sys.executable, "-m", "dafw"]
+    words = ["experiment=lorenz96", "cycles=400", "members=20", "pictures=false", f"hydra.run.dir={folder}"]
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    told = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    with (
+        ended(subprocess.Popen([*dafw, "watch", str(folder)], **told)) as watching,
+        ended(subprocess.Popen([*dafw, "run", *words], **quiet)) as running,
+    ):
+        address = watching.stdout.readline().strip()
+        assert re.fullmatch(r"http://127\.0\.0\.1:\d+/", address)
+        page = open_page(browser, address)
+        expect(page.find("#subtitle")).to_contain_text("complete", timeout=1000.0 * PATIENCE)
+        expect(page.find("#now")).to_contain_text("of 20 s")  # a page that is opened after the end begins at the start
+        assert running.wait(PATIENCE) == 0 and page.complaints == []
+        page.tab.context.close()
+        watching.send_signal(signal.SIGINT)
+        out, err = watching.communicate(timeout=PATIENCE)
+        assert (watching.returncode, out) == (0, "") and err == f"dafw: waiting for a run in {folder}\n"
+
+
+def test_a_folder_that_is_not_there_is_refused(tmp_path, capsys):
+    assert main(["watch", str(tmp_path / "nowhere")]) == 2
+    assert capsys.readouterr().err == f"dafw: {tmp_path / 'nowhere'}: holds no run (expected a run's folder)\n"
