@@ -55,6 +55,14 @@ def test_moments_of_the_recorded_members_are_the_recorded_moments(folder):
         assert (run.dafw.crps(each=True) <= off + 1e-12).all()
 
 
+def test_the_surprises_of_a_cycle_have_the_recorded_mean_and_root_mean_square(folder):
+    with dafw.open_run(folder) as run:
+        surprise = run.dafw.surprise()
+        assert int(surprise.notnull().sum()) > 0
+        np.testing.assert_allclose(surprise.mean("observation"), run["innovation_mean"])
+        np.testing.assert_allclose(np.sqrt((surprise**2).mean("observation")), run["innovation_rms"])
+
+
 def test_xugrid_opens_and_draws_every_field_of_a_run(folder):
     xugrid = pytest.importorskip("xugrid", reason="xugrid is a development dependency")
     with xarray.open_dataset(folder / "run.nc", decode_times=False) as run:

@@ -94,5 +94,5 @@ def test_the_surprise_of_a_reading():
     for name, values in {"value": 5.0, "forecast_mean": 2.0, "forecast_spread": 4.0, "variance": 9.0}.items():
         run[f"observation_{name}"] = (("time", "observation"), [[np.nan], [values], [values]])
     np.testing.assert_allclose(run.dafw.surprise(), [[np.nan], [0.6], [0.6]])
-    with pytest.raises(RunError, match="observation_forecast_spread, which this run does not hold"):
+    with pytest.raises(RunError, match=r"observation_forecast_spread, .* which this run does not all hold"):
         run.drop_vars("observation_forecast_spread").dafw.surprise()
