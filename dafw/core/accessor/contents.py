@@ -88,11 +88,18 @@ def nodes_of(run: Dataset, field: DataArray) -> Array:
 
 
 def mesh_of(run: Dataset, field: DataArray) -> tuple[Array, NDArray[np.int32]]:
-    """Return nodes (n, 2) and triangles (faces, 3) of the mesh of a field; raises RunError if it is on none."""
+    """Return nodes (n, 2) and triangles (faces, 3) of the mesh of a field; raises RunError if it is on none.
+
+    Runs on different meshes are padded in a sweep: padded triangles are left out, padded nodes moved onto a real one.
+    """
     nodes = nodes_of(run, field)
     if "node" not in field.dims or "mesh2d_face_nodes" not in run.variables:
         raise RunError(f"{_said(field)} is not on a mesh of triangles, between whose nodes it would be linear")
-    return nodes, run["mesh2d_face_nodes"].values.astype(np.int32)
+    faces = run["mesh2d_face_nodes"]
+    if faces.ndim != 2:
+        raise RunError(f"{_said(field)} has another mesh in one run than in another: choose one run of the sweep first")
+    triangles = faces.values[np.isfinite(faces.values).all(axis=1)].astype(np.int32)
+    return np.where(np.isnan(nodes), nodes[triangles[0, 0]], nodes), triangles
 
 
 def _said(field: DataArray) -> str:

@@ -21,7 +21,7 @@ from dafw.core.forecasts.contours import (
     joined,
     lines_in_degrees,
 )
-from dafw.core.space import Array
+from dafw.core.space import Array, IntArray
 
 
 class Contour(NamedTuple):
@@ -46,7 +46,7 @@ def contours(
     regions = Regions(nodes, triangles) if filled else None
     wanted = _numbers("levels", levels)
     found = []
-    for moment, row in _rows(values, time):
+    for moment, row in _rows(values, time, np.unique(triangles)):
         for level in wanted:
             geometry = regions.above(row, level) if regions else joined(contour_of(nodes, triangles, row, level))
             found.append(Contour(moment, level, geometry))
@@ -80,14 +80,17 @@ def to_geojson(
     return path
 
 
-def _rows(values: DataArray, time: float | Sequence[float] | None) -> Iterator[tuple[float, Array]]:
-    """Yield the time and the field (n,) of each wanted row; raises RunError if there is none."""
+def _rows(values: DataArray, time: float | Sequence[float] | None, used: IntArray) -> Iterator[tuple[float, Array]]:
+    """Yield the time and the field (n,) of each wanted row; raises RunError if there is none.
+
+    ``used`` are the nodes that belong to a triangle.
+    """
     others = [str(dim) for dim in values.dims if dim not in ("time", "node")]
     if others:
         raise RunError(f"contours need one field at a time: choose along {', '.join(others)} first")
     if "time" not in values.dims:
         moment = float(values.coords["time"]) if "time" in values.coords else float("nan")
-        yield moment, _recorded(values, moment)
+        yield moment, _recorded(values, moment, used)
         return
     if "time" not in values.coords:
         raise RunError("the runs of this sweep have different times: choose one run first")
@@ -97,12 +100,12 @@ def _rows(values: DataArray, time: float | Sequence[float] | None) -> Iterator[t
         row = int(np.argmin(np.abs(times - wanted)))
         if abs(times[row] - wanted) > 0.5 * step + 1e-9:
             raise RunError(f"the run has no time near {wanted:g} s: it is from {times[0]:g} to {times[-1]:g} s")
-        yield float(times[row]), _recorded(values.isel(time=row), float(times[row]))
+        yield float(times[row]), _recorded(values.isel(time=row), float(times[row]), used)
 
 
-def _recorded(row: DataArray, moment: float) -> Array:
+def _recorded(row: DataArray, moment: float, used: IntArray) -> Array:
     field = row.values.astype(np.float64)
-    if np.isnan(field).any():
+    if np.isnan(field[used]).any():
         raise RunError(
             f"'{row.name}' was not recorded at {moment:g} s: run the study with record.fields=all, or choose the "
             f"first or the last time"

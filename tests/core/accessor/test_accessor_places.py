@@ -63,6 +63,21 @@ def test_values_along_a_line_with_a_corner_and_through_the_building():
     assert uneven["distance"].values.tolist() == [0.0, 5.0, 10.0, 12.0]
 
 
+def test_one_run_of_a_sweep_over_meshes_is_padded():
+    padded = RUN.pad(node=(0, 5), face=(0, 3))
+    assert padded["mesh2d_face_nodes"].isnull().any() and padded["node_x"].isnull().any()
+    points = np.random.default_rng(1).uniform(-1.0, 11.0, (50, 2))
+    np.testing.assert_array_equal(padded.dafw.at("gas", points), RUN.dafw.at("gas", points))
+    for filled in (False, True):
+        (one,), (other,) = (run.dafw.contours("gas", 20.0, filled=filled) for run in (padded, RUN))
+        assert not one.geometry.is_empty and one == other
+    with pytest.raises(RunError, match="choose one run of the sweep first"):
+        padded.assign_coords(node_x=padded["node_x"].expand_dims(size=2)).dafw.at("gas", points)
+    faces = padded["mesh2d_face_nodes"].expand_dims(size=2)
+    with pytest.raises(RunError, match="another mesh in one run than in another"):
+        padded.assign(mesh2d_face_nodes=faces).dafw.at("gas", points)
+
+
 def test_a_field_on_a_line_is_linear_between_its_nodes():
     run = Dataset({"u_mean": ("node", [0.0, 2.0, 0.0])}, {"node_x": ("node", [0.0, 1.0, 3.0])})
     np.testing.assert_allclose(run.dafw.at("u", [[0.5], [2.0], [3.0], [3.1]]), [1.0, 1.0, 0.0, np.nan])
