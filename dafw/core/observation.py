@@ -22,8 +22,10 @@ class ObservationOperator:
 
     ``diagnostics`` are what an observer reports about the cycle, recorded under ``observer``. ``sensors`` (m) name the
     sensor that takes each reading, the same one in every cycle; the readings of a sensor stand in the order in which it
-    takes them, at equal intervals. None: not told. Raises ConfigurationError for a covariance that is neither (m,) nor
-    (m, m) or whose diagonal is not above zero, and if there are not m sensors.
+    takes them, at equal intervals. None: not told. ``limits`` (m,) are the detection limits of those readings that were
+    below theirs, NaN for all others; None: none was. ``below_limit`` gives the value and variance of such a reading, so
+    that a filter need not know of limits. Raises ConfigurationError for a covariance that is neither (m,) nor (m, m) or
+    whose diagonal is not above zero, and if there are not m sensors or limits.
     """
 
     covariance: Array
@@ -31,6 +33,7 @@ class ObservationOperator:
     coordinates: Array | None = None
     diagnostics: Diagnostics = field(default_factory=dict)
     sensors: tuple[str, ...] | None = None
+    limits: Array | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "covariance", freeze(self.covariance))
@@ -51,6 +54,10 @@ class ObservationOperator:
             )
         if self.sensors is not None and len(self.sensors) != self.size:
             raise ConfigurationError(f"{self.size} readings must name {self.size} sensors, got {len(self.sensors)}")
+        if self.limits is not None and self.limits.shape != (self.size,):
+            raise ConfigurationError(
+                f"{self.size} readings must have {self.size} detection limits, got the shape {self.limits.shape}"
+            )
 
     @property
     def size(self) -> int:
@@ -112,6 +119,9 @@ def stack(parts: tuple[ObservationOperator, ...], *, same_sensors: bool = False)
     noise = block_diagonal([part.noise for part in parts])
     diagnostics = {name: value for part in reversed(parts) for name, value in part.diagnostics.items()}
     sensors = _stacked_sensors(parts, same_sensors)
+    limits = None
+    if any(part.limits is not None for part in parts):
+        limits = np.concatenate([np.full(p.size, np.nan) if p.limits is None else p.limits for p in parts])
     if all(isinstance(part, Selection) for part in parts):
         indices = np.concatenate([part.indices for part in parts if isinstance(part, Selection)])
         return Selection(
@@ -121,6 +131,7 @@ def stack(parts: tuple[ObservationOperator, ...], *, same_sensors: bool = False)
             coordinates=coordinates,
             diagnostics=diagnostics,
             sensors=sensors,
+            limits=limits,
         )
     return Stacked(
         parts=parts,
@@ -129,7 +140,16 @@ def stack(parts: tuple[ObservationOperator, ...], *, same_sensors: bool = False)
         coordinates=coordinates,
         diagnostics=diagnostics,
         sensors=sensors,
+        limits=limits,
     )
+
+
+def below_limit(limits: Array, variances: Array) -> tuple[Array, Array]:
+    """Return what stands for readings of which it is only known that they are between 0 and the ``limits`` (m,).
+
+    Their values are the middle, L / 2; to the ``variances`` (m,) that of a uniform distribution is added, L^2 / 12.
+    """
+    return limits / 2.0, variances + limits**2 / 12.0
 
 
 def nothing() -> Selection:

@@ -172,7 +172,8 @@ def _fit(
         seen = cycle.observation
         if cycle.number >= since and seen.values.size:
             columns = slice(column, column + seen.values.size)
-            fit += likelihood.log_density(predicted[:, columns], seen.values, seen.covariance)
+            part = predicted[:, columns]
+            fit += likelihood.log_density(part, seen.values, seen.covariance, seen.operator.limits)
             column = columns.stop
     return fit if before is None else before + fit
 

@@ -13,7 +13,7 @@ model's error: each counts only as ``independence`` of a reading, that is, the l
 With ``background.sd`` every sensor has an unknown background that drifts, and the source may be on and off: the
 likelihood is then that of the whole sequence of readings (background.py), whose errors are relative to the prediction.
 
-A reading below ``detection_limit`` says only that the truth is below it.
+A reading below ``detection_limit``, or below the limit that it has itself, says only that the truth is below it.
 """
 
 from __future__ import annotations
@@ -26,12 +26,16 @@ import numpy as np
 
 from dafw.core.ensemble import Diagnostic
 from dafw.core.errors import ConfigurationError
+from dafw.core.observation import below_limit
 from dafw.core.options import option
 from dafw.core.space import Array
 
 if TYPE_CHECKING:
     from dafw.core.window import PastCycle, Window
     from dafw.plugins.filters.background import Judged
+
+SMALLEST_SHARE = 1e-12
+"""Share of a variance that is left at least where rounding would take all of it."""
 
 
 @dataclass
@@ -59,7 +63,9 @@ class Likelihood:
         None, "of the Student t distribution of the errors; null: normal distribution", above=0.0
     )
     independence: float = option(1.0, "power of the likelihood; below 1 for correlated errors", above=0.0, maximum=1.0)
-    detection_limit: float | None = option(None, "a reading below it means only: less than this; null: no limit")
+    detection_limit: float | None = option(
+        None, "a reading below it means only: less than this; null: only readings with a limit of their own mean so"
+    )
     background: Background = option(Background, "unknown backgrounds of the sensors, and a source that is on and off")
 
     def __post_init__(self) -> None:
@@ -124,17 +130,25 @@ class Likelihood:
         """All pairs (S, 2) of absolute and relative sizes of the model's error."""
         return np.array([(a, r) for a in self.absolute for r in self.relative], dtype=np.float64)
 
-    def log_density(self, predicted: Array, values: Array, covariance: Array) -> Array:
+    def log_density(self, predicted: Array, values: Array, covariance: Array, limits: Array | None = None) -> Array:
         """Return the log likelihood (N, S) of the readings, for every member and every pair of ``sizes``.
 
         predicted    (N, m) what the members predict
         values       (m,) the readings
         covariance   (m,) or (m, m) R; with a full matrix the misfits are decorrelated before they are judged
+        limits       (m,) of readings that were below a detection limit of their own, as in ``ObservationOperator``
 
         Raises ConfigurationError for a detection limit with a full R.
         """
         from scipy.special import gammaln
 
+        ends = np.full(len(values), np.nan) if limits is None else limits
+        if (own := ~np.isnan(ends)).any() and covariance.ndim == 1:
+            added = below_limit(ends[own], np.zeros(own.sum()))[1]
+            covariance = covariance.copy()
+            covariance[own] = np.maximum(covariance[own] - added, SMALLEST_SHARE * covariance[own])
+        if self.detection_limit is not None:
+            ends = np.where(~own & (values < self.detection_limit), self.detection_limit, ends)
         missed = values - predicted
         absolute, relative = self.sizes.T[:, :, np.newaxis, np.newaxis]
         of_model = _of_model(absolute, relative, predicted, values)  # (S, N, m)
@@ -152,11 +166,10 @@ class Likelihood:
         else:
             constant = gammaln(0.5 * (degrees + 1.0)) - gammaln(0.5 * degrees) - 0.5 * np.log(degrees * np.pi)
             density = constant - np.log(scale) - 0.5 * (degrees + 1.0) * np.log1p(misfit**2 / degrees)
-        below = values < (-np.inf if self.detection_limit is None else self.detection_limit)
-        if self.detection_limit is not None and below.any():
+        if (below := ~np.isnan(ends)).any():
             if covariance.ndim == 2:
-                raise ConfigurationError("likelihood.detection_limit needs readings whose errors are not correlated")
-            density = np.where(below, self._log_chance(self.detection_limit - predicted, scale), density)
+                raise ConfigurationError("a detection limit needs readings whose errors are not correlated")
+            density = np.where(below, self._log_chance(np.where(below, ends, 0.0) - predicted, scale), density)
         return np.asarray(self.independence * density.sum(axis=2).T)
 
     def _log_chance(self, room: Array, scale: Array) -> Array:

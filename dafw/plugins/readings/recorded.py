@@ -75,11 +75,15 @@ class Usable:
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """Readings as observations of one state space: ``values`` and ``variances`` (R,) in the variable's units."""
+    """Readings as observations of one state space: ``values`` and ``variances`` (R,) in the variable's units.
+
+    ``limits`` (R,) are the detection limits of the readings below them, NaN for all others.
+    """
 
     table: Table
     values: Array
     variances: Array
+    limits: Array
     placed: Placed
     arrives: Array
     counts: Mapping[str, int]
@@ -198,7 +202,8 @@ class Recorded(SensorOptions, FileOptions, Readings):
         at = Placed(at.indices[free], at.weights[free], coordinates, nowhere, nowhere)
         late = table.number("arrives")
         arrives = np.where(np.isnan(late), table.number("time"), late)
-        fitted = Fitted(table, values[free], sd[free] ** 2, at, arrives, counts)
+        limits = np.where(table.number("below") == 1.0, 2.0 * values[free], np.nan)  # the value is half the limit
+        fitted = Fitted(table, values[free], sd[free] ** 2, limits, at, arrives, counts)
         self.__dict__["_kept"] = (space, domain, fitted)
         return fitted
 
@@ -209,7 +214,7 @@ class Recorded(SensorOptions, FileOptions, Readings):
         opened = -np.inf if request.cycle == 0 else request.start + slack
         due = np.flatnonzero((fitted.arrives > opened) & (fitted.arrives <= request.end + slack))
         times = np.minimum(fitted.table.number("time")[due], request.end)
-        named = any(fitted.table.text("sensor"))
+        named, limited = any(fitted.table.text("sensor")), not np.isnan(fitted.limits).all()
         taken = []
         for time in np.unique(times).tolist():
             rows = due[times == time]
@@ -220,6 +225,7 @@ class Recorded(SensorOptions, FileOptions, Readings):
                 covariance=fitted.variances[rows],
                 coordinates=None if at.coordinates is None else at.coordinates[rows],
                 sensors=tuple(fitted.table.text("sensor")[rows]) if named else None,
+                limits=fitted.limits[rows] if limited else None,
             )
             taken.append(Observation(fitted.values[rows], operator, time))
         if request.cycle:

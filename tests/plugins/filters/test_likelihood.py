@@ -7,6 +7,7 @@ from scipy.stats import multivariate_normal, norm, t
 
 from dafw import ConfigurationError
 from dafw.core.errors import OptionError
+from dafw.core.observation import below_limit
 from dafw.core.options import require_options
 from dafw.plugins.filters.likelihood import Likelihood
 
@@ -84,6 +85,20 @@ def test_a_reading_below_the_limit_says_only_that_it_is_below(degrees):
     np.testing.assert_array_equal(found, other)
 
 
+@pytest.mark.parametrize("degrees", [None, 4.0])
+def test_a_reading_may_have_a_limit_of_its_own(degrees):
+    """The first and the last reading are below a limit of their own, the middle one is below that of all."""
+    limits = np.array([0.8, np.nan, 3.0])
+    middle, variances = below_limit(limits, R)
+    values = np.where(np.isnan(limits), VALUES, middle)
+    likelihood = Likelihood([0.1], [0.2], degrees, detection_limit=-0.5)
+    found = likelihood.log_density(PREDICTED, values, np.where(np.isnan(limits), R, variances), limits)[:, 0]
+    sd = np.sqrt(R + 0.1**2 + (0.2 * np.maximum(abs(PREDICTED), abs(values))) ** 2)
+    errors = norm if degrees is None else t(degrees)
+    expected = errors.logcdf((np.array([0.8, -0.5, 3.0]) - PREDICTED) / sd).sum(axis=1)
+    np.testing.assert_allclose(found, expected, rtol=1e-10)
+
+
 def test_a_hopeless_prediction_below_the_limit_stays_finite():
     far = np.array([[1e6]])
     for degrees in (None, 40.0):
@@ -91,7 +106,7 @@ def test_a_hopeless_prediction_below_the_limit_stays_finite():
 
 
 def test_a_limit_needs_independent_errors():
-    with pytest.raises(ConfigurationError, match=r"detection_limit.*not correlated"):
+    with pytest.raises(ConfigurationError, match=r"a detection limit needs .*not correlated"):
         Likelihood(detection_limit=1.0).log_density(PREDICTED, VALUES, np.diag(R))
 
 

@@ -259,6 +259,17 @@ def test_below_the_detection_limit_only_that_is_known(tmp_path):
     np.testing.assert_allclose(sd, [spread, spread, 0.5], rtol=1e-12)
 
 
+def test_the_limits_of_sensors_are_told_in_the_units_of_the_variable(tmp_path):
+    """The left sensor's limit is 1.2 ppm, the right one's 2 ppm; the variable counts in 10 ppm."""
+    text = "time,x,y,value,unit,sensor\n1,0,0,0.4,ppm,left\n1,2,0,1.5,ppm,right\n2,0,0,1.5,ppm,left\n"
+    own = {"left": {"detection_limit": 1.2}, "right": {"detection_limit": 2.0}}
+    asked = {"sensors": own, "reference": "10 ppm", "sd": 0.1}
+    first, second = (one for got in collected(recorded(tmp_path, text, **asked)) for one in got.observations)
+    np.testing.assert_allclose(first.operator.limits, [0.12, 0.2], rtol=1e-12)
+    np.testing.assert_array_equal(second.operator.limits, [np.nan])
+    np.testing.assert_allclose(first.values, [0.06, 0.1], rtol=1e-12)
+
+
 def test_readings_at_the_same_time_are_kept_or_the_first_or_their_mean(tmp_path):
     text = "time,x,y,value,sensor\n1,0,0,1,a\n1,2,0,3,a\n1,0,0,9,b\n2,0,0,5,a\n"
     for choice, expected in (("keep", [1, 3, 9, 5]), ("first", [1, 9, 5]), ("mean", [2, 9, 5])):

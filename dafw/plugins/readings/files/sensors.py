@@ -10,8 +10,8 @@ From two of its readings, a time s apart, follows what it met between them, take
 
 The errors of neighbouring c are anticorrelated, which is left out: R stays diagonal.
 
-Of a reading below the detection limit L it is only known that the value lies between 0 and L. It is replaced by the
-middle, L / 2, and the variance of a uniform distribution, L^2 / 12, is added to its own.
+Of a reading below the detection limit L it is only known that the value lies between 0 and L. ``below_limit`` says what
+stands for it; filters with a likelihood take it for what it is.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 
+from dafw.core.observation import below_limit
 from dafw.core.options import build, option
 from dafw.core.space import Array
 from dafw.plugins.readings.files.table import Table
@@ -119,15 +120,18 @@ def undone_response(table: Table, sensors: Mapping[str, SensorOptions]) -> tuple
 
 
 def censored(table: Table, sensors: Mapping[str, SensorOptions]) -> tuple[Table, int]:
-    """Return the table with readings below the detection limit replaced, and how many these are."""
+    """Return the table with readings below the detection limit replaced, and how many these are.
+
+    They are marked by 1 in a column ``below``, which is 0 for all others.
+    """
     limit = _of_rows(table, lambda name: sensors[name].detection_limit or -np.inf)
     below = table.number("value") < limit
     if not below.any():
         return table, 0
     value, sd = table.number("value").copy(), table.number("sd").copy()
-    value[below] = limit[below] / 2.0
-    sd[below] = np.hypot(sd[below], limit[below] / np.sqrt(12.0))
-    return table.changed(value=value, sd=sd), int(below.sum())
+    value[below], variance = below_limit(limit[below], sd[below] ** 2)
+    sd[below] = np.sqrt(variance)
+    return table.changed(value=value, sd=sd, below=below.astype(np.float64)), int(below.sum())
 
 
 def _of_rows(table: Table, of: Callable[[str], float]) -> Array:
