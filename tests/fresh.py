@@ -81,6 +81,7 @@ def prepared() -> Path:
     server = subprocess.Popen(
         [fresh.bin / "python", ROOT / "tests" / "prepared.py", folder],
         env=fresh.variables({"MPLBACKEND": "Agg"}),
+        stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
     )
