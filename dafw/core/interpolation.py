@@ -37,20 +37,45 @@ def weights_at(variable: Variable, triangles: NDArray[np.int32] | None, points: 
 
 
 def _in_triangles(variable: Variable, triangles: NDArray[np.int32], points: Array) -> tuple[IntArray, Array]:
-    from matplotlib.tri import Triangulation
-
-    nodes = np.asarray(variable.coordinates)
-    face = Triangulation(*nodes.T, triangles).get_trifinder()(*points.T)
-    inside = face >= 0
-    corners = triangles[np.where(inside, face, 0)].astype(np.int64)
-    a, b, c = np.moveaxis(nodes[corners], 1, 0)
-    twice_area = _cross(b - a, c - a)
-    weights = np.stack([_cross(b - points, c - points), _cross(c - points, a - points), _cross(a - points, b - points)])
-    weights = (weights / twice_area).T
+    inside, corners, weights = in_triangles(np.asarray(variable.coordinates), triangles, points)
     if not inside.all():
         corners[~inside] = variable.nearest(points[~inside])[:, np.newaxis]
         weights[~inside] = [1.0, 0.0, 0.0]
     return corners, weights
+
+
+def in_triangles(
+    nodes: Array, triangles: NDArray[np.int32], points: Array
+) -> tuple[NDArray[np.bool_], IntArray, Array]:
+    """Return which points (m, 2) are in a triangle, the triangle's corners (m, 3) and the barycentric weights (m, 3).
+
+    ``nodes`` are (n, 2), ``triangles`` (faces, 3). Corners and weights of the other points mean nothing.
+    """
+    from matplotlib.tri import Triangulation
+
+    face = Triangulation(*nodes.T, triangles).get_trifinder()(*points.T)
+    inside = face >= 0
+    corners = triangles[np.where(inside, face, 0)].astype(np.int64)
+    return inside, corners, barycentric(nodes[corners], points)
+
+
+def barycentric(corners: Array, points: Array) -> Array:
+    """Return the barycentric weights (m, 3) of points (m, 2) in triangles with the ``corners`` (m, 3, 2)."""
+    a, b, c = np.moveaxis(corners, 1, 0)
+    twice_area = _cross(b - a, c - a)
+    weights = np.stack([_cross(b - points, c - points), _cross(c - points, a - points), _cross(a - points, b - points)])
+    return np.asarray((weights / twice_area).T)
+
+
+def points_along(corners: Array, lengths: Array) -> Array:
+    """Return the points (m, 2) at the arc lengths (m,) along a polyline with the ``corners`` (k, 2), in metres."""
+    at_corners = arc_lengths(corners)
+    return np.column_stack([np.interp(lengths, at_corners, corners[:, axis]) for axis in (0, 1)])
+
+
+def arc_lengths(corners: Array) -> Array:
+    """Return the arc length (k,) at each corner of a polyline (k, 2), in metres."""
+    return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(corners, axis=0).T))])
 
 
 def _cross(a: Array, b: Array) -> Array:

@@ -15,9 +15,13 @@ if TYPE_CHECKING:
 def open_run(path: str | Path) -> xarray.Dataset:
     """Open a run's folder, or its ``run.nc``, as a lazy Dataset; this works also while the run goes on.
 
+    The Dataset's ``dafw`` computes what is asked for after a run: dafw/core/accessor.
+
     Raises RunError if there is no run or the file cannot be read.
     """
     import xarray
+
+    import dafw.core.accessor  # noqa: F401 - so that the Dataset has ``dafw``
 
     file = Path(path) / "run.nc" if Path(path).is_dir() else Path(path)
     if not file.is_file():

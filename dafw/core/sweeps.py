@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 RECORD = "multirun.yaml"
 """The file in which Hydra stores the request of a multirun."""
+SWEEP_FOLDER = "sweep_folder"
+"""The attribute of an open sweep that says where it is."""
 SPARSEST = 100
 """If the grid has this many times more places than there are runs, the runs do not form a grid."""
 
@@ -31,10 +33,12 @@ def open_sweep(path: str | Path) -> xarray.Dataset:
     it is. Values that a run does not have are NaN, or '' for texts: all values of a missing run, the later rows of a
     run that ended early, the further members and nodes of a run that has fewer. Variables without time that are the
     same in all runs, such as a mesh, are stored once. Runs with different time steps are aligned by row, and
-    ``row_time`` holds their times. Close the Dataset when done, or use it in a ``with`` block.
+    ``row_time`` holds their times. The attribute ``sweep_folder`` says where the sweep is. Close the Dataset when done,
+    or use it in a ``with`` block.
 
     Raises RunError if the folder is not a multirun, or its runs cannot be put into one grid.
     """
+    import dafw.core.accessor  # noqa: F401 - so that the Dataset has ``dafw``
     from dafw.core.grid_of_runs import join
 
     folder = sweep_folder(Path(path))
@@ -56,7 +60,9 @@ def open_sweep(path: str | Path) -> xarray.Dataset:
     for place, job in places.items():
         status[place] = job.status
         where[place] = "" if job.folder is None else str(job.folder.relative_to(folder))
-    return join(runs, coordinates, {"status": status, "folder": where.astype(np.str_)})
+    sweep = join(runs, coordinates, {"status": status, "folder": where.astype(np.str_)})
+    sweep.attrs[SWEEP_FOLDER] = str(folder.resolve())
+    return sweep
 
 
 def sweep_runs(path: Path) -> list[tuple[dict[str, str], Path | None]]:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from dafw.core.accessor.innovations import has_surprises, surprise
 from dafw.views.contents import (
     buildings,
     has_map,
@@ -131,15 +132,13 @@ def readings_of(run: Dataset) -> dict[str, Any]:
             return np.full(rows.size, np.nan)
         return np.asarray(run[name].values[rows, columns], dtype=np.float64)
 
-    expected = column("observation_forecast_mean")
-    deviation = np.sqrt(column("observation_forecast_spread") ** 2 + column("observation_variance"))
     found = {
         "x": column("observation_x"),
         "y": column("observation_y"),
         "time": column("observation_time"),
         "value": value[rows, columns],
-        "expected": expected,
-        "surprise": (value[rows, columns] - expected) / deviation,
+        "expected": column("observation_forecast_mean"),
+        "surprise": surprise(run).values[rows, columns] if has_surprises(run) else np.full(rows.size, np.nan),
         "rank": column("observation_rank"),
     }
     return {"row": rows.tolist()} | {name: numbers(values) for name, values in found.items()}

@@ -10,6 +10,7 @@ from matplotlib.patches import Patch
 from matplotlib.tri import Triangulation
 
 from dafw.core.errors import RunError
+from dafw.core.interpolation import arc_lengths, in_triangles, points_along
 from dafw.views.contents import has_section, label, polyline, scored_variable, stage, time_units, triangulation
 from dafw.views.style import BUILDING_FACE, colour_scale, new_figure, outside_legend
 
@@ -59,28 +60,18 @@ def plot_section(run: Dataset) -> Figure:
 
 def sample_polyline(corners: np.ndarray, samples: int) -> tuple[np.ndarray, np.ndarray]:
     """Return ``samples`` equidistant arc lengths (samples,) and their points (samples, 2) along ``corners`` (k, 2)."""
-    at_corners = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(corners, axis=0).T))])
-    arc_length = np.linspace(0.0, at_corners[-1], samples)
-    return arc_length, np.column_stack([np.interp(arc_length, at_corners, corners[:, axis]) for axis in (0, 1)])
+    arc_length = np.linspace(0.0, arc_lengths(corners)[-1], samples)
+    return arc_length, points_along(corners, arc_length)
 
 
 class SectionWeights:
     """Linear interpolation from the nodes of a mesh to fixed points; computed once, applied to every time."""
 
     def __init__(self, mesh: Triangulation, points: np.ndarray) -> None:
-        found = mesh.get_trifinder()(*points.T)
-        self.corners = mesh.triangles[found]
-        a, b, c = (np.column_stack([mesh.x[corner], mesh.y[corner]]) for corner in self.corners.T)
-        area = _cross(b - a, c - a)
-        second, third = _cross(points - a, c - a) / area, _cross(b - a, points - a) / area
-        self.weights = np.column_stack([1.0 - second - third, second, third])
-        # The finder returns -1 outside the mesh and inside its holes.
-        self.weights[found < 0] = np.nan
+        nodes = np.column_stack([mesh.x, mesh.y])
+        inside, self.corners, self.weights = in_triangles(nodes, mesh.triangles, points)
+        self.weights[~inside] = np.nan
 
     def apply(self, values: np.ndarray) -> np.ndarray:
         """Return (time, points) from (time, node); NaN outside the mesh."""
         return np.asarray(np.einsum("tpk,pk->tp", values[:, self.corners], self.weights))
-
-
-def _cross(u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    return np.asarray(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])

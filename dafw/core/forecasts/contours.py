@@ -1,4 +1,4 @@
-"""Where a field on triangles is above a threshold: polygons, and GeoJSON of them.
+"""Where a field on triangles is above a threshold: polygons, contour lines, and GeoJSON of them.
 
 The field is linear on each triangle, so the part of a triangle that is above the threshold is the triangle itself, a
 smaller triangle or a quadrilateral. Places on a shared edge are computed from its nodes in the same order, so the parts
@@ -75,7 +75,24 @@ def _crossing(nodes: Array, above: Array, i: Any, j: Any) -> Array:
     """Return where the field is zero on the edges from nodes i to nodes j, one inside and one outside, (k, 2)."""
     first, last = np.minimum(i, j), np.maximum(i, j)
     share = above[first] / (above[first] - above[last])
-    return np.asarray(nodes[first] + share[:, np.newaxis] * (nodes[last] - nodes[first]))
+    places = nodes[first] + share[:, np.newaxis] * (nodes[last] - nodes[first])
+    # Where the last node itself is the crossing, rounding would move it a little from edge to edge.
+    return np.asarray(np.where((above[last] == 0.0)[:, np.newaxis], nodes[last], places))
+
+
+def joined(segments: Array) -> Any:
+    """Return the segments (k, 2, 2) of a contour as one shapely line or several; closed where the contour is."""
+    import shapely
+
+    long = segments[(segments[:, 0] != segments[:, 1]).any(axis=1)]
+    return shapely.line_merge(shapely.multilinestrings(shapely.linestrings(long)))
+
+
+def lines_in_degrees(lines: Any, origin: tuple[float, float]) -> Any:
+    """Return lines in metres in longitude and latitude."""
+    import shapely
+
+    return shapely.set_precision(shapely.transform(lines, lambda metres: to_degrees(metres, origin)), GRID)
 
 
 def in_degrees(polygon: Any, origin: tuple[float, float]) -> Any:
@@ -94,15 +111,15 @@ def _flat(parts: Sequence[Any]) -> list[Any]:
     return [one for part in parts for one in shapely.get_parts(part)]
 
 
-def feature(polygon: Any, properties: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a GeoJSON feature of a polygon in degrees; numbers that are not finite become null."""
+def feature(shape: Any, properties: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a GeoJSON feature of a polygon or of lines in degrees; numbers that are not finite become null."""
     import shapely
 
     plain = {
         name: None if isinstance(value, float) and not np.isfinite(value) else value
         for name, value in properties.items()
     }
-    return {"type": "Feature", "properties": plain, "geometry": json.loads(shapely.to_geojson(polygon))}
+    return {"type": "Feature", "properties": plain, "geometry": json.loads(shapely.to_geojson(shape))}
 
 
 def collection(features: Sequence[Mapping[str, Any]]) -> str:
