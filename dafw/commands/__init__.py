@@ -11,7 +11,19 @@ from importlib import import_module
 from dafw.commands.mpirun import run_on_all_ranks, shares
 from dafw.core.errors import DafwError, is_request
 
-COMMANDS = ("run", "study", "plugins", "plot", "report", "watch", "readings", "doctor", "check", "new-plugin")
+COMMANDS = (
+    "run",
+    "study",
+    "plugins",
+    "plot",
+    "animate",
+    "report",
+    "watch",
+    "readings",
+    "doctor",
+    "check",
+    "new-plugin",
+)
 """The command NAME is the function ``NAME_command(words)`` of the module NAME in this folder, loaded when called; a
 hyphen becomes an underscore."""
 
@@ -22,6 +34,7 @@ usage: dafw COMMAND [...]
   study NAME [overrides] | --list          run a study file's configurations on many seeds, and compare them
   plugins [--json] [NAME]                  list the plugins, or the options of those with this name
   plot RUN|SWEEP ... [--out DIR]           draw the pictures of a run, or of several together
+  animate RUN ... [-o FILE.gif|FILE.mp4]   write an animation of the maps of a run
   report RUN|SWEEP|STUDY ... [-o FILE]     write a page in one file that plays a run, or compares many, in a browser
   watch RUN [--port N]                     serve that page on this machine while the run goes on, and follow it
   readings FILE|RUN [options] [--to FILE]  say how a file of readings would be read; write it, or a run's, anew; draw it
