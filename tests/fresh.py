@@ -27,12 +27,19 @@ class Environment:
     bin: Path
 
     def run(
-        self, *words: str | Path, cwd: Path, path: Path | None = None, programs: Path | None = None, **more: str
+        self,
+        *words: str | Path,
+        cwd: Path,
+        path: Path | None = None,
+        programs: Path | None = None,
+        commands: int = 1,
+        **more: str,
     ) -> subprocess.CompletedProcess[str]:
         """Run a command of the environment.
 
         ``path``: a folder with further installed packages; ``programs``: a folder with programs that are used instead
-        of the environment's; ``more``: variables.
+        of the environment's; ``commands``: how many commands a script has, each of which may take its time; ``more``:
+        variables.
         """
         surroundings = self.variables(more)
         if path is not None:
@@ -42,7 +49,8 @@ class Environment:
             surroundings["PATH"] = f"{programs}{os.pathsep}{surroundings['PATH']}"
         if command[0] != "sh":
             command[0] = str((self.bin if programs is None else programs) / command[0])
-        return subprocess.run(command, cwd=cwd, env=surroundings, capture_output=True, text=True, timeout=PATIENCE)
+        patience = PATIENCE * max(1, commands)
+        return subprocess.run(command, cwd=cwd, env=surroundings, capture_output=True, text=True, timeout=patience)
 
     def variables(self, more: Mapping[str, str]) -> dict[str, str]:
         """Return the variables of a process of the environment, with ``more`` of them."""

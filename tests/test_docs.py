@@ -201,6 +201,7 @@ def try_page(page: Path, folder: Path, variables: dict[str, str]) -> int:
     for number, block in enumerate(blocks(page)):
         place = f"{page.relative_to(ROOT)}, line {block.line}"
         words: list[str] = []
+        size = 1
         if block.title:
             (folder / block.title).parent.mkdir(parents=True, exist_ok=True)
             (folder / block.title).write_text(block.content)
@@ -209,7 +210,7 @@ def try_page(page: Path, folder: Path, variables: dict[str, str]) -> int:
             run = [instead for command in asked if (instead := reduced(command)) is not None]
             literal = literal and run == asked
             count += len(asked)
-            words = ["sh", "-e", "-c", "\n".join(run)]
+            words, size = ["sh", "-e", "-c", "\n".join(run)], len(run)
         elif block.language == "python":
             count += 1
             (folder / f"block_{number}.py").write_text(reduced_program(block.content))
@@ -224,7 +225,7 @@ def try_page(page: Path, folder: Path, variables: dict[str, str]) -> int:
             shown = [" ".join(line.split()) for line in printed.splitlines()]
             assert [line for line in block.content.splitlines() if " ".join(line.split()) not in shown] == [], place
         if words:
-            done = environment().run(*words, cwd=folder, programs=programs, **variables)
+            done = environment().run(*words, cwd=folder, programs=programs, commands=size, **variables)
             assert done.returncode == 0, f"{place}\n{words[-1]}\n{done.stdout}\n{done.stderr}"
             printed += done.stdout
     return count
