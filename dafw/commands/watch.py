@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from dafw.commands.parser import Parser
+from dafw.studies.stopping import stop_signals
 
 
 def watch_command(words: Sequence[str]) -> int:
@@ -19,5 +20,6 @@ def watch_command(words: Sequence[str]) -> int:
     asked = parser.parse_args(words)
     from dafw.views.watch import watch  # here, because it loads matplotlib, which --help does not need
 
-    watch(asked.run, asked.port)
+    with stop_signals():
+        watch(asked.run, asked.port)
     return 0

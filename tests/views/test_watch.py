@@ -161,8 +161,10 @@ def test_the_command_follows_a_real_run_to_its_end_and_closes_on_an_interrupt(br
     words = ["experiment=lorenz96", "cycles=400", "members=20", "pictures=false", f"hydra.run.dir={folder}"]
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     told = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    # Shells start what they put into the background with Ctrl-C ignored; it must end the command all the same.
+    in_background = ["sh", "-c", 'trap "" INT; exec "$@"', "sh"]
     with (
-        ended(subprocess.Popen([*dafw, "watch", str(folder)], **told)) as watching,
+        ended(subprocess.Popen([*in_background, *dafw, "watch", str(folder)], **told)) as watching,
         ended(subprocess.Popen([*dafw, "run", *words], **quiet)) as running,
     ):
         address = watching.stdout.readline().strip()
