@@ -19,13 +19,13 @@ def animate_command(words: Sequence[str]) -> int:
     parser.add_argument("--every", type=int, default=1, metavar="N", help="every Nth row is a frame; default: 1")
     parser.add_argument("--rate", type=int, default=10, metavar="N", help="frames a second; default: 10")
     asked = parser.parse_args(words)
-    from dafw.core.runs import open_run  # here, because it loads matplotlib, which --help does not need
-    from dafw.views.animation import animate
+    from dafw.views.animation import animate  # here, because they load matplotlib, which --help does not need
+    from dafw.views.files import load_run
 
     if asked.out is not None and len(asked.runs) > 1:
         raise ConfigurationError(f"animate: --out is for one run, expected one RUN with it, got {len(asked.runs)}")
     for path in asked.runs:
-        folder = path if path.is_dir() else path.parent
-        with open_run(path) as run:
-            print(animate(run, asked.out or folder / "animation.gif", every=asked.every, rate=asked.rate), flush=True)
+        file = path / "run.nc" if path.is_dir() else path
+        target = asked.out or file.with_name("animation.gif")
+        print(animate(load_run(file), target, every=asked.every, rate=asked.rate), flush=True)
     return 0
