@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from dafw.core.errors import RunError
 
@@ -33,3 +34,12 @@ def open_run(path: str | Path) -> xarray.Dataset:
         return xarray.open_dataset(file, engine="netcdf4", decode_times=False)
     except (OSError, ValueError) as error:
         raise RunError(f"{file}: cannot be read as netCDF ({' '.join(str(error).split())})") from error
+
+
+def summary_of(folder: Path) -> dict[str, Any]:
+    """Return the summary that a run left in its folder; empty if there is none that can be read."""
+    try:
+        found = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return found if isinstance(found, dict) else {}

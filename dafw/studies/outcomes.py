@@ -12,12 +12,11 @@ from xarray import Dataset, Variable
 from dafw.core.errors import DafwError
 from dafw.core.files import atomic_file
 from dafw.core.grid_of_runs import join
-from dafw.core.runs import open_run
+from dafw.core.runs import open_run, summary_of
 from dafw.core.space import Kind, StateSpace
 from dafw.core.space import Variable as StateVariable
 from dafw.studies.floors import known_floors
 from dafw.studies.many_runs import run_folder
-from dafw.studies.side_by_side import summary_of_run
 from dafw.studies.study_files import ManyRuns
 
 OVER_TIME = ("err", "err_free", "err_smoothed", "spread", "innovation_rms")
@@ -64,7 +63,7 @@ def joined_results(
     told = {name: np.full((len(overrides), len(seeds)), "", dtype=object) for name in ("status", "error", "folder")}
     for row, line in enumerate(places):
         for column, place in enumerate(line):
-            summary = {} if place is None else summary_of_run(place)
+            summary = {} if place is None else summary_of(place)
             told["status"][row, column] = str(summary.get("status", "missing"))
             told["error"][row, column] = str(summary.get("error", ""))
             told["folder"][row, column] = "" if place is None else str(place.relative_to(folder))

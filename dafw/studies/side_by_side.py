@@ -17,6 +17,7 @@ from typing import Any
 
 from dafw.core.errors import ComputationError
 from dafw.core.files import write_atomically
+from dafw.core.runs import summary_of
 from dafw.core.workers import Outcome, Worker, dismiss, outcome
 
 log = logging.getLogger("dafw")
@@ -111,10 +112,7 @@ def note_failure(task: Task, message: str) -> None:
     file = task.folder / "summary.json"
     if status_of_run(task.folder) == "failed":
         return
-    try:
-        known = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        known = {}
+    known = summary_of(task.folder)
     try:
         task.folder.mkdir(parents=True, exist_ok=True)
         write_atomically(file, json.dumps({"seed": task.seed, **known, "status": "failed", "error": message}, indent=2))
@@ -122,15 +120,6 @@ def note_failure(task: Task, message: str) -> None:
         raise ComputationError(f"{task.folder}: cannot be written ({error}), after: {message}") from error
 
 
-def summary_of_run(folder: Path) -> dict[str, Any]:
-    """Return the summary that a run left; empty if there is none that can be read."""
-    try:
-        found = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return {}
-    return found if isinstance(found, dict) else {}
-
-
 def status_of_run(folder: Path) -> str:
     """Return how a run ended: complete, failed or interrupted (also by a kill); ``missing`` if it left no word."""
-    return str(summary_of_run(folder).get("status", "missing"))
+    return str(summary_of(folder).get("status", "missing"))

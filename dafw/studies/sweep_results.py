@@ -8,9 +8,9 @@ from pathlib import Path
 from xarray import Dataset
 
 from dafw.core.errors import RunError
+from dafw.core.runs import summary_of
 from dafw.core.sweeps import sweep_folder, sweep_runs
 from dafw.studies.outcomes import joined_results
-from dafw.studies.side_by_side import summary_of_run
 
 SUCCESS = 50.0
 """ERR at the end, in per cent, below which a run of a multirun counts as a success; a study file has its own."""
@@ -26,7 +26,7 @@ def results_of_sweep(path: Path) -> Dataset:
     runs = [(words, place) for words, place in sweep_runs(folder) if place is not None]
     if not runs:
         raise RunError(f"{folder}: no run of this multirun has begun")
-    told = summary_of_run(runs[0][1])
+    told = summary_of(runs[0][1])
     seeds = sorted({_seed(words, told.get("seed", 0)) for words, _ in runs})
     overrides: dict[str, str] = {}
     places: dict[str, dict[int, Path]] = {}

@@ -7,6 +7,8 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from dafw.core.runs import summary_of
+
 if TYPE_CHECKING:
     from xarray import Dataset
 
@@ -36,15 +38,6 @@ def words_of(run: Dataset, folder: Path) -> dict[str, Any]:
         "configuration": _text(folder / ".hydra" / "config.yaml"),
         "command": "" if overrides is None else shlex.join(["dafw", "run", *overrides]),
     }
-
-
-def summary_of(folder: Path) -> dict[str, Any]:
-    """Return the summary of a run; empty if there is none that can be read."""
-    try:
-        found = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return {}
-    return found if isinstance(found, dict) else {}
 
 
 def overrides_of(folder: Path) -> list[str] | None:

@@ -12,10 +12,10 @@ from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 from dafw.core.errors import ConfigurationError, RunError
+from dafw.core.runs import summary_of
 from dafw.views.files import load_run
 from dafw.views.report_page import as_json, page
 from dafw.views.report_run import page_of_run
-from dafw.views.report_words import summary_of
 
 HOST = "127.0.0.1"
 ENDED = ("complete", "failed")

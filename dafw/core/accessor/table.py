@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,6 +10,7 @@ import numpy as np
 from xarray import Dataset
 
 from dafw.core.errors import RunError
+from dafw.core.runs import summary_of
 from dafw.core.sweeps import SWEEP_FOLDER
 
 if TYPE_CHECKING:
@@ -37,18 +37,10 @@ def table(sweep: Dataset) -> pandas.DataFrame:
             for name, coordinate in status.coords.items()
         }
         row |= {"status": str(status.values[place]), "folder": str(folder[place])}
-        row |= {name: value for name, value in _scalars(_summary(root, row["folder"])) if name not in row}
+        summary = summary_of(root / row["folder"]) if row["folder"] else {}
+        row |= {name: value for name, value in _scalars(summary) if name not in row}
         rows.append(row)
     return pandas.DataFrame(rows)
-
-
-def _summary(root: Path, folder: str) -> Mapping[str, Any]:
-    """Return the summary of a run; empty if it left none that can be read, which its status says."""
-    try:
-        found = json.loads((root / folder / "summary.json").read_text(encoding="utf-8")) if folder else {}
-    except (OSError, ValueError):
-        return {}
-    return found if isinstance(found, dict) else {}
 
 
 def _scalars(summary: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:

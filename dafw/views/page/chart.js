@@ -3,7 +3,7 @@
 import { Axes, verticalRange } from "./axes.js";
 import { chartFrame, element, fitted, follow, heading } from "./dom.js";
 import { tickLabel, withUnits } from "./format.js";
-import { dashes } from "./theme.js";
+import { dashes, style } from "./theme.js";
 
 /**
  * One chart. `spec` has title, units, lines [{role, label, values}], and may have bands [{low, high, label}], reference
@@ -130,10 +130,6 @@ export class Chart {
 function bounded(value, units) {
   if (units !== "°" || value === null || (value >= -180 && value < 360)) return value;
   return ((value % 360) + 360) % 360;
-}
-
-function style(role) {
-  return { free: "dashed", smoothed_mean: "dotted" }[role] ?? "";
 }
 
 function nearest(values, wanted) {

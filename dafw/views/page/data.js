@@ -38,3 +38,10 @@ export async function unpackField(field) {
   }
   return values;
 }
+
+/** Return which of the recorded rows of a field shows a row of the run: the latest one that is not after it. */
+export function recordedRow(rows, row) {
+  let found = 0;
+  while (found + 1 < rows.length && rows[found + 1] <= row) found += 1;
+  return found;
+}

@@ -53,6 +53,15 @@ export function follow(box, player, { resize, draw }) {
   measure();
 }
 
+/** Draw a view with a `canvas` in a `plot` as a whole at every row, in another theme and at another `size`. */
+export function drawWhole(view, theme, player) {
+  theme.onChange(() => view.draw());
+  const resize = () => {
+    view.size = fitted(view.canvas, view.plot);
+  };
+  follow(view.plot, player, { resize, draw: () => view.draw() });
+}
+
 /** Size a canvas to the element that holds it; return its context in CSS pixels with width and height. */
 export function fitted(canvas, box) {
   const ratio = Math.min(devicePixelRatio || 1, 3);

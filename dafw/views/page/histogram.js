@@ -1,7 +1,7 @@
 // Where the readings fall among what was expected of them: even if the belief is honest.
 
 import { Axes } from "./axes.js";
-import { chartFrame, element, fitted, follow, heading } from "./dom.js";
+import { chartFrame, drawWhole, element, heading } from "./dom.js";
 
 const BINS = 10;
 
@@ -14,11 +14,7 @@ export class Histogram {
     const title = heading("Ranks of the readings", "number of readings");
     Object.assign(this, chartFrame(room, "ranks", [title]));
     this.legend.append(this.told);
-    theme.onChange(() => this.draw());
-    const resize = () => {
-      this.size = fitted(this.canvas, this.plot);
-    };
-    follow(this.plot, player, { resize, draw: () => this.draw() });
+    drawWhole(this, theme, player);
   }
 
   /** Look at the run's readings anew. */

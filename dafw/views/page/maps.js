@@ -2,6 +2,7 @@
 
 import { showBars } from "./bars.js";
 import { colourTable } from "./colours.js";
+import { recordedRow } from "./data.js";
 import { element, follow } from "./dom.js";
 import { tickLabel, withUnits } from "./format.js";
 import { Overlay } from "./overlay.js";
@@ -112,12 +113,9 @@ export class Maps {
     this.player.redraw();
   }
 
-  /** Return which row of the recorded fields shows the time: the latest one that is not after it. */
+  /** Return which row of the recorded fields shows the time. */
   fieldRow() {
-    const { rows } = this.data.fields;
-    let found = 0;
-    while (found + 1 < rows.length && rows[found + 1] <= this.player.row) found += 1;
-    return found;
+    return recordedRow(this.data.fields.rows, this.player.row);
   }
 
   /** Return the lowest and the highest value that the colours of a panel tell apart. */

@@ -4,6 +4,7 @@ import { Chart } from "./chart.js";
 import { element } from "./dom.js";
 import { formatNumber } from "./format.js";
 import { triangleAt } from "./raster.js";
+import { STAGES } from "./theme.js";
 
 /** Shows the series at the place that was clicked on a map, or whose coordinates were given. */
 export class PlaceSeries {
@@ -56,7 +57,7 @@ export class PlaceSeries {
       });
       series[key] = one;
     }
-    const lines = [["truth", "truth"], ["mean", "belief"], ["free", "free run"], ["smoothed_mean", "as revised later"]]
+    const lines = Object.entries(STAGES)
       .filter(([key]) => series[key])
       .map(([role, label]) => ({ role, label, values: series[role], joined: true }));
     const spec = {

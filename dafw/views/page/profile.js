@@ -1,33 +1,27 @@
 // A state without places in the plane: its values over the index, at the time that is shown.
 
 import { Axes, verticalRange } from "./axes.js";
-import { chartFrame, element, fitted, follow, heading } from "./dom.js";
-import { dashes } from "./theme.js";
-
-const LABELS = { truth: "truth", mean: "belief", free: "free run", smoothed_mean: "as revised later" };
+import { recordedRow } from "./data.js";
+import { chartFrame, drawWhole, element, heading } from "./dom.js";
+import { STAGES, dashes, style } from "./theme.js";
 
 /** Draws truth, belief with its band and free run over the index; `fields` are the decoded ones. */
 export class Profile {
   constructor(data, fields, theme, player) {
     Object.assign(this, { data, theme, player });
     this.fields = Object.fromEntries(fields.map((field) => [field.key, field]));
-    this.keys = Object.keys(LABELS).filter((key) => this.fields[key]);
+    this.keys = Object.keys(STAGES).filter((key) => this.fields[key]);
     this.nodes = fields[0].nodes;
     this.index = Array.from({ length: this.nodes }, (_, k) => k);
-    const styles = { free: "dashed", smoothed_mean: "dotted" };
-    this.marks = this.keys.map((key) => element("i", { class: styles[key] ?? "" }));
+    this.marks = this.keys.map((key) => element("i", { class: style(key) }));
     const room = document.querySelector("#profile .charts");
     const title = heading(`${data.variable.title} over its index`, data.variable.units);
     Object.assign(this, chartFrame(room, "profile", [title]));
     this.figure.classList.add("wide");
-    this.legend.append(...this.keys.map((key, k) => element("li", {}, [this.marks[k], LABELS[key]])));
+    this.legend.append(...this.keys.map((key, k) => element("li", {}, [this.marks[k], STAGES[key]])));
     document.getElementById("profile").hidden = false;
     this.refresh(fields);
-    theme.onChange(() => this.draw());
-    const resize = () => {
-      this.size = fitted(this.canvas, this.plot);
-    };
-    follow(this.plot, player, { resize, draw: () => this.draw() });
+    drawWhole(this, theme, player);
   }
 
   /** Show new values of the same run. */
@@ -44,8 +38,7 @@ export class Profile {
     const axes = new Axes(context, width, height, [0, Math.max(1, this.nodes - 1)], this.range, false);
     axes.drawGrid(this.theme.colours, "index");
     const { rows } = this.data.fields;
-    let at = 0;
-    while (at + 1 < rows.length && rows[at + 1] <= this.player.row) at += 1;
+    const at = recordedRow(rows, this.player.row);
     const part = (key) => Array.from(this.fields[key].values.subarray(at * this.nodes, (at + 1) * this.nodes));
     axes.clipped(() => {
       if (this.fields.spread && this.fields.mean && !this.data.fields.logarithm) {

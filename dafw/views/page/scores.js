@@ -1,6 +1,6 @@
 // The policy's scores: how much each direction promised at the decision that led to the row that is shown.
 
-import { chartFrame, element, fitted, follow, heading } from "./dom.js";
+import { chartFrame, drawWhole, element, heading } from "./dom.js";
 import { formatNumber, tickLabel } from "./format.js";
 
 const FULL = 2 * Math.PI;
@@ -14,11 +14,7 @@ export class Scores {
     const title = heading(`Scores of the ${data.scores.kind}s at the decision`);
     Object.assign(this, chartFrame(room, "scores", [title, ...this.choice()]));
     this.legend.append(this.told);
-    theme.onChange(() => this.draw());
-    const resize = () => {
-      this.size = fitted(this.canvas, this.plot);
-    };
-    follow(this.plot, player, { resize, draw: () => this.draw() });
+    drawWhole(this, theme, player);
   }
 
   choice() {

@@ -3,6 +3,9 @@
 const LINES = ["truth", "belief", "free", "revised"];
 const NAMES = ["text", "soft", "accent", ...LINES, "grid", "edge", "building", "wall", "route", "halo"];
 
+/** What the page calls the stages of a state variable, in the order in which they are drawn. */
+export const STAGES = { truth: "truth", mean: "belief", free: "free run", smoothed_mean: "as revised later" };
+
 /** The colours of the page as canvases need them. */
 export class Theme {
   constructor() {
@@ -45,4 +48,9 @@ export class Theme {
 /** Return how a line is dashed, by what it shows. */
 export function dashes(role) {
   return { free: [6, 4], smoothed_mean: [2, 3] }[role] ?? [];
+}
+
+/** Return the class of the mark that stands for a line in a legend. */
+export function style(role) {
+  return { free: "dashed", smoothed_mean: "dotted" }[role] ?? "";
 }
