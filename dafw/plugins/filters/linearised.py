@@ -6,9 +6,9 @@ the regression leaves, then ask for a step from a centre c to ::
 
     c + A^-1 (J^T D (y - h_c) + B (z_0 - c)),    A = J^T D J + B,    D = power / (s^2 + e^2)
 
-The power is what a reading counts: less if it is an outlier and tails are heavy. B is
-the inverse of the covariance of the samples times ``REACH``^2, about their mean z_0: a step does not lead far away
-from where the regression knows anything. Where the model is far from linear, e is large and the step is short; so the
+The power is what a reading counts: less if it is an outlier and tails are heavy. B is the inverse of the covariance of
+the samples times ``REACH``^2, about their mean z_0: a step does not lead far away from where the regression knows
+anything. Where the model is far from linear, e is large and the step is short; so the
 steps get longer as the samples get closer. The next batch is drawn about the ends of the steps with the covariance
 A^-1. The weights of importance sampling make good for all that is approximate here.
 
