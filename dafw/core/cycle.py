@@ -14,7 +14,7 @@ run can be cut anywhere and continued to the same bits.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from time import perf_counter
 from typing import Self
@@ -25,7 +25,7 @@ from dafw.core.executors import Executor
 from dafw.core.executors.batches import Batch
 from dafw.core.executors.serial import Serial
 from dafw.core.interfaces import Filter, Model, Observer, Policy, Readings
-from dafw.core.interfaces.readings import Request
+from dafw.core.interfaces.readings import Request, Taken
 from dafw.core.interpolation import View
 from dafw.core.late import Sorted, sort_by_cycle
 from dafw.core.observation import Observation
@@ -173,8 +173,11 @@ def start(parts: Parts, n_members: int, vehicle: Vehicle) -> State:
     return State(0, belief, truth, free, vehicle, policy_memory, filter_memory, readings_memory)
 
 
-def advance(parts: Parts, state: State) -> Cycle:
-    """Run one cycle. Raises a DafwError that says at which time and in which phase it failed."""
+def advance(parts: Parts, state: State, decided: Callable[[Route], None] | None = None) -> Cycle:
+    """Run one cycle. Raises a DafwError that says at which time and in which phase it failed.
+
+    ``decided`` is called with the route as soon as the policy has decided, before readings are waited for.
+    """
     streams, cycle = parts.streams, state.cycle
     belief, truth, free = state.belief, state.truth, state.free
     now = belief.ensemble.time
@@ -185,6 +188,8 @@ def advance(parts: Parts, state: State) -> Cycle:
             outlook = Outlook(belief, state.vehicle, state.policy_memory, cycle, parts.rerun)
         rng = streams.generator("policy", cycle)
         route = parts.policy.route(belief.ensemble, state.vehicle, state.policy_memory, rng, outlook)
+        if decided is not None:
+            decided(route)
 
         clock.phase("observe", parts.observer)
         operator = parts.observer.look(parts.model.space, route, now)
@@ -231,7 +236,7 @@ def advance(parts: Parts, state: State) -> Cycle:
         belief=Forecast(posterior, model_memory),
         truth=truth,
         free=free,
-        vehicle=state.vehicle.moved(route.ends) if route.paths else state.vehicle,
+        vehicle=_arrived(state.vehicle, route, taken),
         policy_memory=route.memory,
         filter_memory=analysis.memory,
         readings_memory=taken.memory,
@@ -257,6 +262,17 @@ def advance(parts: Parts, state: State) -> Cycle:
         clock.seconds,
         taken.left_out,
     )
+
+
+def _arrived(vehicle: Vehicle, route: Route, taken: Taken) -> Vehicle:
+    """Return the vehicles at the end of a cycle: where the readings say they are, otherwise where they were sent."""
+    if taken.vehicles is None:
+        return vehicle.moved(route.ends) if route.paths else vehicle
+    positions = vehicle.positions.copy()
+    for number, place in taken.vehicles.items():
+        if number < len(positions):
+            positions[number] = place
+    return vehicle.moved(positions)
 
 
 def _with_late(past: tuple[PastCycle, ...], late: Sequence[tuple[int, Observation]]) -> tuple[PastCycle, ...]:

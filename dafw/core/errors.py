@@ -57,6 +57,10 @@ class ContractError(ComputationError):
     """A plugin broke its interface: wrong shape, non-finite numbers, changed inputs. The message names the plugin."""
 
 
+class NoMoreReadingsError(DafwError):
+    """The feed of a source has ended: the readings of this cycle will not come, and the run ends before it."""
+
+
 class DivergenceError(ComputationError):
     """A belief has diverged: its numbers are far beyond what the model can produce."""
 

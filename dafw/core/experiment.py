@@ -70,6 +70,11 @@ class StudyOptions:
     record: RecordOptions = field(default_factory=RecordOptions)
     forecast: ForecastPlan = field(default_factory=ForecastPlan)
     section: list[list[float]] = option([], "corners [[x, y], ...] of the polyline of the section picture, in metres")
+    advice: list[str] = option(
+        [],
+        "where the advice of a run is written beside its advice.jsonl: - for standard output, the path of a file or "
+        "a named pipe, or mqtt for the broker of readings=live",
+    )
     pictures: bool = option(True, "draw the pictures at the end")
 
 
@@ -115,6 +120,7 @@ def study_from(config: Mapping[str, Any]) -> Study:
         record_fields=options.record.fields,
         section=options.section,
         forecast=options.forecast,
+        advice=options.advice,
         pictures=options.pictures,
         name=options.name,
         configuration=dict(config),

@@ -16,7 +16,7 @@ import numpy as np
 
 from dafw.core.cycle import Cycle, Parts, State, advance, start
 from dafw.core.ensemble import Route, Vehicle
-from dafw.core.errors import ConfigurationError
+from dafw.core.errors import ConfigurationError, NoMoreReadingsError
 from dafw.core.executors import Executor
 from dafw.core.forecasts.ahead import arrays_of
 from dafw.core.forecasts.areas import places_of
@@ -57,6 +57,7 @@ class Study:
     record_fields            the rows of run.nc that have the fields: all, or its ends, the first and the last
     forecast                 the forecasts of a run: how often, how far, of what; by default none
     section                  corners [[x, y], ...] of the polyline of the section picture, in metres
+    advice                   where a run also says what it advises: ``-``, paths of files or named pipes, ``mqtt``
     pictures                 whether a run of the study ends with its pictures
     name                     what the study is called in files, titles and messages
     configuration            the configuration that the study was made from; None: it was made in Python
@@ -82,6 +83,7 @@ class Study:
     record_fields: str = "all"
     forecast: ForecastPlan = field(default_factory=ForecastPlan)
     section: Sequence[Sequence[float]] = ()
+    advice: Sequence[str] = ()
     pictures: bool = False
     name: str = "study"
     configuration: Mapping[str, Any] | None = None
@@ -156,6 +158,8 @@ class Study:
         for one in self.models.values():
             one.share_with(shared)
         if communicator is not None:
+            if self.readings.is_live:
+                raise ConfigurationError(f"mpirun: {self.readings.label} cannot be shared by several processes")
             if registry().recipe(self.executor) != {"name": "serial"}:
                 raise ConfigurationError(f"mpirun expects the executor 'serial', got {self.executor.label}")
             for one in self.models.values():
@@ -252,6 +256,9 @@ class Study:
         parts, state = self.begin()
         with parts.executor:
             for _ in range(self.cycles):
-                cycle = advance(parts, state)
+                try:
+                    cycle = advance(parts, state)
+                except NoMoreReadingsError:
+                    return
                 yield cycle
                 state = cycle.state

@@ -48,6 +48,7 @@ def dafw_plugins() -> list[PluginSpec]:
         PluginSpec("readings", "twin", f"{_HERE}.readings.twin:Twin", "what the observer reads of a truth, with noise"),
         PluginSpec("readings", "listed", f"{_HERE}.readings.listed:Listed", "a list of readings with their times"),
         PluginSpec("readings", "recorded", f"{_HERE}.readings.recorded:Recorded", "a file: CSV, netCDF, GeoJSON"),
+        PluginSpec("readings", "live", f"{_HERE}.readings.live:Live", "a feed: standard input, a file, a broker"),
         PluginSpec("executor", "serial", "dafw.core.executors.serial:Serial", "steps members in this process"),
         PluginSpec(
             "executor", "processes", "dafw.core.executors.processes:Processes", "steps members in worker processes"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import sys
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -17,6 +18,7 @@ from dafw.core.ensemble import Vehicle
 from dafw.core.errors import (
     ComputationError,
     DafwError,
+    NoMoreReadingsError,
     RecordError,
     RunError,
 )
@@ -26,6 +28,7 @@ from dafw.core.plugin import by_plugin
 from dafw.core.progress import progress
 from dafw.core.record import Record
 from dafw.core.study import Study
+from dafw.studies.advice import Advice
 from dafw.studies.forecasting import Forecasting
 from dafw.studies.reporting import closing_line, log_domain, log_file, postfix, sentence, warn_once
 from dafw.studies.stopping import Interrupted, Stop, stop_signals
@@ -54,7 +57,11 @@ def run_study(study: Study, folder: Path, communicator: Any = None) -> dict[str,
     with log_file(folder / "run.log"), stop_signals() as stop, threadpool_limits(limits=1, user_api="blas"):
         try:
             with parts.executor:
-                run.cycles(parts, vehicle, stop)
+                parts.readings.begin(folder, lambda: stop.asked)
+                try:
+                    run.cycles(parts, vehicle, stop)
+                finally:
+                    parts.readings.end()
             run.end("complete")
             log.info("%s", closing_line(study, run.summary.values()))
         except KeyboardInterrupt:
@@ -125,9 +132,14 @@ class _Run:
             if study.forecast.every is not None:
                 self.forecasting = Forecasting(study.forecast, parts, state, self.folder, summary.file_attributes())
         logged = 0.0
+        advice = Advice(study, parts, self.folder)
         with progress(study.cycles, "cycle") as bar:
             for done in range(1, study.cycles + 1):
-                cycle = advance(parts, state)
+                try:
+                    cycle = advance(parts, state, partial(advice.give, state))
+                except NoMoreReadingsError as ended:
+                    log.info("%s", ended)
+                    break
                 recorded = perf_counter()
                 with self._writing:
                     scores = self.record.append(cycle)
@@ -147,6 +159,7 @@ class _Run:
                         self._write_summary()
                 if stop.agreed(self.communicator) and done < study.cycles:
                     raise Interrupted
+        advice.end(state)
         summary.end(parts, state)
 
     def _say(self, cycle: Cycle, parts: Parts) -> None:

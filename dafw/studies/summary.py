@@ -86,7 +86,7 @@ class Summary:
             if cycle.readings.counts.get(use):
                 yield use, f"{text} (summary.json counts them)"
         for reason, count in cycle.left_out.items():
-            rows = "row is" if count == 1 else "rows are"
+            rows = f"{parts.readings.word} is" if count == 1 else f"{parts.readings.word}s are"
             text = f"{parts.readings.label}: {count} {rows} left out, {reason.replace('_', ' ')}"
             yield reason, f"{text} (summary.json counts them)"
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
@@ -13,7 +14,7 @@ from dafw.core.ensemble import Ensemble, Memory
 from dafw.core.errors import ContractError
 from dafw.core.observation import Observation, ObservationOperator
 from dafw.core.plugin import Plugin
-from dafw.core.space import StateSpace
+from dafw.core.space import Array, StateSpace
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,19 +39,23 @@ class Taken:
     """What a source with a memory returns: the observations, what to remember, and sentences for the log.
 
     ``left_out`` counts readings that the source had and cannot give, by reason; a run warns of them and counts them.
+    ``vehicles`` says by number where vehicles are at the end of the cycle, (2,) in metres; those that it does not name
+    are where they were before. None: the source does not know, and vehicles are where they were sent.
     """
 
     observations: Sequence[Observation]
     memory: Memory | None = None
     notes: tuple[str, ...] = field(default=())
     left_out: Mapping[str, int] = field(default_factory=dict)
+    vehicles: Mapping[int, Array] | None = None
 
 
 class Readings(Plugin):
     """A source of readings: a truth, a file, an instrument.
 
     Each observation has its own time. Readings taken after ``start`` and up to ``end`` belong to the present cycle;
-    older ones are late. A source with ``needs_truth = True`` is given the truth.
+    older ones are late. A source with ``needs_truth = True`` is given the truth. One with ``is_live = True`` waits for
+    readings that are still to come, and raises NoMoreReadingsError when there will be none.
 
     >>> class Constant(Readings):
     ...     def take(self, request, rng):
@@ -63,6 +68,9 @@ class Readings(Plugin):
 
     kind = "readings"
     needs_truth: ClassVar[bool] = False
+    is_live: ClassVar[bool] = False
+    word: ClassVar[str] = "row"
+    """What one of the source's entries is called in messages."""
 
     @classmethod
     def check_space(cls) -> StateSpace | None:
@@ -79,6 +87,15 @@ class Readings(Plugin):
     def notes(self) -> list[str]:
         """Return sentences for the log about where the readings come from; called after ``suit``."""
         return []
+
+    def begin(self, folder: Path, asked_to_stop: Callable[[], bool]) -> None:
+        """Prepare for a run into ``folder``, before its first cycle; a live source connects to its feed.
+
+        A source that waits calls ``asked_to_stop`` now and then, and raises KeyboardInterrupt if it returns True.
+        """
+
+    def end(self) -> None:
+        """Release what ``begin`` opened; called when a run ends, however it does."""
 
     def initial_memory(self) -> Memory | None:
         """Return the memory that the first request is given."""

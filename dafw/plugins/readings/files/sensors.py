@@ -31,7 +31,7 @@ REPEATED = ("keep", "first", "mean")
 
 
 @dataclass
-class SensorOptions:
+class ErrorOptions:
     """The errors of a sensor, in the unit of the file; of all sensors, where they have no options of their own."""
 
     sd: float | None = option(
@@ -42,6 +42,12 @@ class SensorOptions:
     detection_limit: float | None = option(
         None, "of a value (less background) below it is only known that it lies between 0 and this", above=0.0
     )
+
+
+@dataclass
+class SensorOptions(ErrorOptions):
+    """The errors of a sensor that may follow slowly."""
+
     response_time: float = option(0.0, "time constant with which the sensor follows what it meets, s", minimum=0.0)
 
 
@@ -55,7 +61,7 @@ def sensors_of(table: Table, common: SensorOptions, own: Mapping[str, Any], wher
     return {name: build(SensorOptions, shared | dict(own.get(name, {})), f"{where}, sensor '{name}'") for name in names}
 
 
-def with_errors(table: Table, sensors: Mapping[str, SensorOptions]) -> Table:
+def with_errors(table: Table, sensors: Mapping[str, ErrorOptions]) -> Table:
     """Return the table with values less background, and ``sd`` in every row; raises ReadingsError if one has none."""
     background = _of_rows(table, lambda name: sensors[name].background)
     value = table.number("value") - background if background.any() else table.number("value")
@@ -119,7 +125,7 @@ def undone_response(table: Table, sensors: Mapping[str, SensorOptions]) -> tuple
     return table.changed(value=value, sd=sd).chosen(kept), int((~kept).sum())
 
 
-def censored(table: Table, sensors: Mapping[str, SensorOptions]) -> tuple[Table, int]:
+def censored(table: Table, sensors: Mapping[str, ErrorOptions]) -> tuple[Table, int]:
     """Return the table with readings below the detection limit replaced, and how many these are.
 
     They are marked by 1 in a column ``below``, which is 0 for all others.

@@ -1,0 +1,154 @@
+"""The journal of a live run: every line that came, as it came, and the cycle that it came in.
+
+A run that was cut off continues with the lines that the journal has and its last state has not taken; a new run with
+the journal as its source takes the same lines in the same cycles. The file is JSON lines:
+
+    {"journal": 1, "zero": 1764482400.0}                    zero: the Unix time of t = 0, null where that is not known
+    {"cycle": 0, "at": 1764482401.2, "line": "..."}         at: the Unix time at which the line came
+    {"cycle": 0, "at": 1764482401.3, "left_out": "too_long", "count": 1}
+    {"cycle": 0, "end": true}                               the cycle had its readings
+
+Entries of a file that grows also have ``offset``, where the file was read to. A line that is too long is not kept.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from time import monotonic
+from typing import Any, BinaryIO
+
+from dafw.core.errors import ReadingsError, RecordError
+from dafw.plugins.readings.feed.lines import Line
+
+FILE = "journal.jsonl"
+SYNC_SECONDS = 1.0
+"""The journal is written to the disk at the end of a cycle, if that was so long ago."""
+LONGEST_ENTRY = 1 << 20
+"""Bytes of an entry: a line of control characters takes six times its length as JSON."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """An entry: a line, the Unix time at which it came, and how far a file was read; or the end of a cycle.
+
+    ``own``: it stands in the run's own journal already.
+    """
+
+    line: Line = field(default_factory=Line)
+    at: float = 0.0
+    cycle: int = 0
+    ends: bool = False
+    offset: int = 0
+    own: bool = False
+
+
+def zero_of(path: Path) -> tuple[bool, float | None]:
+    """Return whether a file is a journal, and the Unix time of t = 0 in it."""
+    try:
+        with path.open("rb") as stream:
+            head = json.loads(stream.readline(LONGEST_ENTRY))
+    except (OSError, ValueError, RecursionError):
+        return False, None
+    if not isinstance(head, dict) or head.get("journal") != 1:
+        return False, None
+    zero = head.get("zero")
+    return True, float(zero) if isinstance(zero, int | float) else None
+
+
+def entries_of(path: Path, taken: int = 0) -> Iterator[Entry]:
+    """Yield the entries of a journal after the first ``taken``; raises ReadingsError for one that is damaged."""
+    with path.open("rb") as stream:
+        stream.readline(LONGEST_ENTRY)
+        number = 0
+        while data := stream.readline(LONGEST_ENTRY):
+            if not data.endswith(b"\n"):
+                return  # being written when the run was killed
+            number += 1
+            if number > taken:
+                yield _entry(data, path, number)
+
+
+def _entry(data: bytes, path: Path, number: int) -> Entry:
+    try:
+        given = json.loads(data)
+        cycle = int(given["cycle"])
+        if given.get("end"):
+            return Entry(cycle=cycle, ends=True)
+        if "left_out" in given:
+            line = Line(left_out=str(given["left_out"]), count=int(given["count"]))
+        else:
+            line = Line(str(given["line"]))
+        return Entry(line, float(given["at"]), cycle, offset=int(given.get("offset", 0)))
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        raise ReadingsError(f"journal {path}, line {number + 1}: expected an entry of a journal") from None
+
+
+class Journal:
+    """Writes a journal; one that is there already is continued, without an entry that was cut off."""
+
+    def __init__(self, path: Path, zero: float | None) -> None:
+        self.path = path
+        self._stream: BinaryIO
+        with self._writing():
+            self._stream = path.open("a+b")
+            _drop_half_a_line(self._stream)
+            if self._stream.tell() == 0:
+                self._write({"journal": 1, "zero": zero})
+                self._stream.flush()
+        self._synced = monotonic()
+
+    def note(self, cycle: int, line: Line, at: float, offset: int) -> None:
+        """Add a line; it is in the file when this returns."""
+        entry: dict[str, Any] = {"cycle": cycle, "at": round(at, 3)}
+        entry |= {"left_out": line.left_out, "count": line.count} if line.left_out else {"line": line.text}
+        with self._writing():
+            self._write(entry | ({"offset": offset} if offset else {}))
+            self._stream.flush()
+
+    def end(self, cycle: int) -> None:
+        """Add the end of a cycle."""
+        with self._writing():
+            self._write({"cycle": cycle, "end": True})
+            self._stream.flush()
+            if monotonic() - self._synced > SYNC_SECONDS:
+                os.fsync(self._stream.fileno())
+                self._synced = monotonic()
+
+    def close(self) -> None:
+        """Close the file."""
+        with self._writing():
+            self._stream.close()
+
+    def _write(self, entry: dict[str, Any]) -> None:
+        self._stream.write(json.dumps(entry).encode() + b"\n")
+
+    def _writing(self) -> _Writing:
+        return _Writing(self.path)
+
+
+class _Writing:
+    """Makes an error of the system one that says that the journal cannot be written: a full disk, say."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __enter__(self) -> None:
+        return None
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        if isinstance(error, OSError):
+            raise RecordError(f"{self.path}: the journal cannot be written ({error.strerror or error})") from error
+
+
+def _drop_half_a_line(stream: BinaryIO) -> None:
+    """Cut off what follows the last line end, and stand at the end."""
+    end = stream.seek(0, os.SEEK_END)
+    start = max(0, end - LONGEST_ENTRY)
+    stream.seek(start)
+    tail = stream.read(end - start)
+    stream.truncate(start + tail.rfind(b"\n") + 1)
+    stream.seek(0, os.SEEK_END)

@@ -1,0 +1,248 @@
+"""Readings that come while the run goes on: lines of JSON from standard input, a file that grows, or a broker.
+
+docs/live.md describes the messages. In every cycle the source waits for readings. The cycle is over when the clock says
+so: the ``wall``'s, when its time has come; the ``feed``'s, when a reading of a later cycle has come, or a message that
+says that all readings up to its end have been sent. Garbage never stops a run, it is counted. All lines go to the
+journal of the run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from time import time
+from typing import Any
+
+import numpy as np
+
+from dafw.core.domain import Domain
+from dafw.core.ensemble import Memory
+from dafw.core.errors import ConfigurationError, NoMoreReadingsError
+from dafw.core.interfaces import Readings
+from dafw.core.interfaces.readings import Request, Taken
+from dafw.core.options import build, option
+from dafw.core.space import StateSpace
+from dafw.plugins.observers.path import ends_of, line_means
+from dafw.plugins.readings.feed.channels import Channel, Pipe, channel_to
+from dafw.plugins.readings.feed.collecting import Patience, collect, has_ended
+from dafw.plugins.readings.feed.desk import Desk, Rules
+from dafw.plugins.readings.feed.feed import Feed, Replayed
+from dafw.plugins.readings.feed.journal import zero_of
+from dafw.plugins.readings.feed.messages import names_of
+from dafw.plugins.readings.feed.state import FeedState
+from dafw.plugins.readings.feed.usable import observations_of, vehicles_of
+from dafw.plugins.readings.files.options import ColumnOptions
+from dafw.plugins.readings.files.placing import require_origin
+from dafw.plugins.readings.files.sensors import ErrorOptions
+from dafw.plugins.readings.files.times import parsed_date
+from dafw.plugins.readings.files.units import linear
+
+EXAMPLE = "example"
+CLOCKS = ("feed", "wall")
+
+
+@dataclass
+class Live(ErrorOptions, Readings):
+    """Readings from a feed."""
+
+    is_live = True
+    word = "message"
+
+    source: str = option(
+        "-",
+        "- for standard input, the path of a file that grows, of a named pipe or of the journal.jsonl of a run, or "
+        "'example' for a few messages that ship with dafw",
+    )
+    clock: str = option(
+        "feed",
+        "when a cycle ends: at its time by the wall's clock, or when the feed has come to a later time",
+        choices=CLOCKS,
+    )
+    start: float | str | None = option(
+        None,
+        "what is t = 0: a time as in the messages (s, or a date), or first: that of the first message. null: 0 s; for "
+        "dates the first message, or by the wall's clock the beginning of the run",
+    )
+    grace: float = option(0.0, "seconds that a cycle waits for its readings after its end", minimum=0.0)
+    furthest: float = option(
+        3600.0, "a message that is so many seconds after the end of the cycle or more is not believed", above=0.0
+    )
+    most: int = option(10000, "readings that a cycle may have, and those of later ones that may wait", minimum=1)
+    patience: float | None = option(
+        None, "seconds without any message after which the feed has ended; null: the run waits", above=0.0
+    )
+    columns: ColumnOptions = option(ColumnOptions, "by which keys the messages have what")
+    time_format: str | None = option(
+        None, "how times are written, as in Python's strptime; a * at the end: anything may follow. null: ISO 8601"
+    )
+    origin: list[float] | None = option(None, "[lon, lat] of the plane's (0, 0) in degrees; null: the site's")
+    variable: str | None = option(None, "state variable that is read; null: the first")
+    unit: str | None = option(None, "unit of the values; null: what the messages say, else that of the variable")
+    reference: str | None = option(None, "what 1 of the variable stands for, such as '250 mg m-3'; null: its own unit")
+    lowest: float | None = option(None, "values below it, as they are told, cannot be and are left out")
+    highest: float | None = option(None, "values above it cannot be and are left out")
+    vehicles: list[str] = option(
+        [], "the sensors on the vehicles, in the vehicles' order; none: those called 'drone 0', 'drone 1', ..."
+    )
+    entries: dict[str, int] = option({}, "by sensor: the entry of the variable that it reads, from 0", minimum=0)
+    paths: dict[str, Any] = option(
+        {}, "by sensor: the line along which it reads the mean of the variable, [[x, y], [x, y]] in metres"
+    )
+    sensors: dict[str, Any] = option(
+        {}, "by sensor: a mapping with its own sd, relative_sd, background, detection_limit"
+    )
+
+    _feed: Feed | None = field(default=None, init=False, repr=False, compare=False)
+    _folder: Path | None = field(default=None, init=False, repr=False, compare=False)
+    _pipe: Channel | None = field(default=None, init=False, repr=False, compare=False)
+
+    @classmethod
+    def check_options(cls) -> Mapping[str, Any]:
+        """Return the messages that ship with dafw."""
+        return {"source": EXAMPLE}
+
+    def __post_init__(self) -> None:
+        require_origin(self.origin, "readings 'live'")
+        if self.entries and self.paths:
+            raise ConfigurationError("readings 'live': sensors have entries or paths, not both")
+        if self.clock == "wall" and self.start == "first":
+            raise ConfigurationError("readings 'live': start=first goes with clock=feed")
+        if isinstance(self.start, str) and self.start != "first" and parsed_date(self.start, None) is None:
+            raise ConfigurationError(
+                f"readings 'live': start must be seconds, a date in ISO 8601, or first, got {self.start!r}"
+            )
+        if len(set(self.vehicles)) < len(self.vehicles):
+            raise ConfigurationError(f"readings 'live': vehicles must be different sensors, got {self.vehicles}")
+        self._paths = ends_of(self.paths, "readings 'live'")
+        common = {one.name: getattr(self, one.name) for one in fields(ErrorOptions)}
+        self._errors = {}
+        for name, own in self.sensors.items():
+            where = f"readings 'live', sensor '{name}'"
+            if not isinstance(own, Mapping):
+                raise ConfigurationError(f"{where}: expected a mapping of options, got {own!r}")
+            self._errors[name] = build(ErrorOptions, common | dict(own), where)
+        self._common = ErrorOptions(**common)
+        self._asked: Callable[[], bool] = lambda: False
+
+    def suit(self, space: StateSpace, domain: Domain | None, dt: float) -> None:
+        """Raise ConfigurationError for units, entries or paths that do not fit the variable."""
+        variable = space.variables[0] if self.variable is None else space[self.variable]
+        linear(self.unit or variable.units, self.reference or variable.units)
+        for name, entry in self.entries.items():
+            if entry >= variable.size:
+                raise ConfigurationError(
+                    f"{self.label}: sensor '{name}' reads entry {entry}, '{variable.name}' has {variable.size}"
+                )
+        if self._paths:
+            line_means(variable, list(self._paths.values()), self.label)
+        self._rules(space, domain)
+
+    def _origin(self, domain: Domain | None) -> tuple[float, float] | None:
+        if self.origin is not None:
+            return float(self.origin[0]), float(self.origin[1])
+        return None if domain is None else domain.origin
+
+    def _rules(self, space: StateSpace, domain: Domain | None) -> Rules:
+        """Return what the study expects of readings."""
+        variable = space.variables[0] if self.variable is None else space[self.variable]
+        places: tuple[str, ...] = ("entry",)
+        if variable.coordinates is not None and variable.coordinates.shape[1] == 2:
+            places = ("metres", *(["degrees"] if self._origin(domain) else []), "entry")
+        if self.entries or self.paths or variable.size == 1:
+            places = ()
+        return Rules(
+            names=names_of(self.columns),
+            wanted=self.reference or variable.units,
+            errors=self._errors,
+            common=self._common,
+            places=places,
+            size=variable.size,
+            known=frozenset(self.entries or self._paths) or None,
+            entries=self.entries,
+            vehicles={name: number for number, name in enumerate(self.vehicles)},
+            unit=self.unit,
+            time_format=self.time_format,
+            lowest=self.lowest,
+            highest=self.highest,
+            first=self.start == "first",
+            stamped=self.clock == "wall",
+            furthest=self.furthest,
+            most=self.most,
+        )
+
+    def begin(self, folder: Path, asked_to_stop: Callable[[], bool]) -> None:
+        """Keep the folder of the journal, and begin to read what cannot be read again."""
+        self._folder, self._asked = folder, asked_to_stop
+        if self.clock == "wall":
+            linear("ppm", "ppb")  # units are loaded now, not when the first message with one has come
+        if self.source == "-":
+            self._pipe = Pipe(0)
+
+    def end(self) -> None:
+        """Close the feed and the journal."""
+        if self._feed is not None:
+            self._feed.close()
+        self._feed = self._folder = self._pipe = None
+
+    def _connected(self, state: FeedState) -> Channel:
+        if self._pipe is not None:
+            return self._pipe
+        if self.source == EXAMPLE:
+            return channel_to(str(Path(__file__).with_name("feed") / "example.jsonl"), state.offset)
+        path = Path(self.source).expanduser()
+        return Replayed(path, state.entries) if zero_of(path)[0] else channel_to(self.source, state.offset)
+
+    def _opened(self, state: FeedState, cycle: int) -> Feed:
+        """Return the feed, opened where ``state`` says; in the first cycle, note what is t = 0."""
+        if self._feed is None:
+            now = time()
+            if cycle == 0:
+                self._set_zero(state, now)
+            self._feed = Feed(self._connected, state, self._folder, state.zero)
+        return self._feed
+
+    def _set_zero(self, state: FeedState, now: float) -> None:
+        if isinstance(self.start, str):
+            moment = parsed_date(self.start, None)
+            state.zero = None if moment is None else moment.timestamp()
+            state.seconds = None if self.start == "first" else 0.0
+        else:
+            state.seconds = 0.0 if self.start is None else float(self.start)
+        if self.clock == "wall" and state.zero is None:
+            journal, zero = (False, None) if self.source == "-" else zero_of(Path(self.source).expanduser())
+            state.zero = zero if journal else now
+
+    def take_with_memory(self, request: Request, memory: Memory | None, rng: np.random.Generator) -> Taken:
+        """Wait for the readings of the cycle and return them; raises NoMoreReadingsError where the feed has ended."""
+        state = FeedState.of(memory)
+        feed = self._opened(state, request.cycle)
+        rules = self._rules(request.space, request.domain)
+        origin = self._origin(request.domain)
+        desk = Desk(rules, state, request.end, request.end - request.start)
+        wall = self.clock == "wall"
+        collect(feed, desk, request.cycle, self.grace, Patience(wall, self.patience, self._asked))
+        if has_ended(feed, desk) and desk.is_barren:
+            raise NoMoreReadingsError(f"{self.label}: the feed has ended")
+        observations, unplaced = observations_of(
+            desk.due,
+            rules,
+            request.space,
+            request.domain,
+            request.end,
+            variable=self.variable,
+            origin=origin,
+            paths=self._paths or None,
+        )
+        vehicles, impossible = vehicles_of(desk.due, rules, state, request.domain, origin)
+        left_out = {**desk.left_out, **unplaced} | ({"vehicle_in_wall_or_outside": impossible} if impossible else {})
+        return Taken(observations, state.memory(), tuple(desk.notes), left_out, vehicles)
+
+    def zero_of_run(self, memory: Memory | None) -> float | None:
+        """Return the Unix time of t = 0; None where it is not known."""
+        return None if memory is None else FeedState.of(memory).zero
+
+    def notes(self) -> list[str]:
+        """Return where the readings come from, in one sentence."""
+        what = "standard input" if self.source == "-" else self.source
+        return [f"{self.label}: readings come from {what}; a cycle ends by the clock of the {self.clock}"]
