@@ -20,6 +20,8 @@ COMMANDS = (
     "report",
     "watch",
     "readings",
+    "simulate",
+    "score",
     "doctor",
     "check",
     "new-plugin",
@@ -38,6 +40,8 @@ usage: dafw COMMAND [...]
   report RUN|SWEEP|STUDY ... [-o FILE]     write a page in one file that plays a run, or compares many, in a browser
   watch RUN [--port N]                     serve that page on this machine while the run goes on, and follow it
   readings FILE|RUN [options] [--to FILE]  say how a file of readings would be read; write it, or a run's, anew; draw it
+  simulate WORDS | dafw run WORDS          rehearse a live run: WORDS have readings=live and hydra.run.dir=DIR
+  score RUN [--truth FILE]                 compare the belief of a rehearsed run with the truth
   check NAME [NAME ...] | --all            hold plugins to what their interface promises
   new-plugin KIND NAME DIR                 write a package with a plugin to start from, and its test
   doctor [--json]                          say what this machine lacks, and the command that installs it

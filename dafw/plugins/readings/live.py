@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
+from functools import cached_property
 from pathlib import Path
 from time import time
 from typing import Any
@@ -196,22 +197,26 @@ class Live(ErrorOptions, Readings):
     def _opened(self, state: FeedState, cycle: int) -> Feed:
         """Return the feed, opened where ``state`` says; in the first cycle, note what is t = 0."""
         if self._feed is None:
-            now = time()
             if cycle == 0:
-                self._set_zero(state, now)
+                self._set_zero(state)
             self._feed = Feed(self._connected, state, self._folder, state.zero)
         return self._feed
 
-    def _set_zero(self, state: FeedState, now: float) -> None:
+    @cached_property
+    def _zero(self) -> float | None:
+        """The Unix time of t = 0, as far as it is known before the first message."""
+        moment = parsed_date(self.start, None) if isinstance(self.start, str) else None
+        if moment is not None or self.clock == "feed":
+            return None if moment is None else moment.timestamp()
+        found, zero = (False, None) if self.source == "-" else zero_of(Path(self.source).expanduser())
+        return zero if found else time()
+
+    def _set_zero(self, state: FeedState) -> None:
+        state.zero = self._zero
         if isinstance(self.start, str):
-            moment = parsed_date(self.start, None)
-            state.zero = None if moment is None else moment.timestamp()
             state.seconds = None if self.start == "first" else 0.0
         else:
             state.seconds = 0.0 if self.start is None else float(self.start)
-        if self.clock == "wall" and state.zero is None:
-            journal, zero = (False, None) if self.source == "-" else zero_of(Path(self.source).expanduser())
-            state.zero = zero if journal else now
 
     def take_with_memory(self, request: Request, memory: Memory | None, rng: np.random.Generator) -> Taken:
         """Wait for the readings of the cycle and return them; raises NoMoreReadingsError where the feed has ended."""
@@ -240,7 +245,7 @@ class Live(ErrorOptions, Readings):
 
     def zero_of_run(self, memory: Memory | None) -> float | None:
         """Return the Unix time of t = 0; None where it is not known."""
-        return None if memory is None else FeedState.of(memory).zero
+        return self._zero if memory is None else FeedState.of(memory).zero
 
     def notes(self) -> list[str]:
         """Return where the readings come from, in one sentence."""

@@ -130,20 +130,22 @@ def vehicles_of(
 ) -> tuple[dict[int, Array], int]:
     """Return by number where the readings say that vehicles are, (2,) in metres, and how many places cannot be.
 
-    The latest time counts; of several messages of the same time, the last. A vehicle cannot be outside the domain or in
-    a building. ``state`` is changed.
+    The latest time counts; of several messages of the same time, the last. Where messages tell nothing but the place of
+    a vehicle, those with its readings do not count: a reading may be of a place beside it. A vehicle cannot be outside
+    the domain or in a building. ``state`` is changed.
     """
     impossible = 0
+    tell = {rules.vehicle(reading.sensor) for reading in readings if reading.value is None}
     for reading in readings:
         number = rules.vehicle(reading.sensor)
         one = in_metres(reading, origin)
-        if number is None or one.kind != "metres":
+        if number is None or one.kind != "metres" or (reading.value is not None and number in tell):
             continue
         if number in state.vehicles and one.time < state.vehicles[number][0]:
             continue
         place = np.array(one.place)
         if domain is not None and not domain.is_free(place, place):
-            impossible += 1
+            impossible += reading.value is None  # readings in buildings are counted as such
             continue
         state.vehicles[number] = (one.time, *one.place)  # type: ignore[assignment]
     return {number: np.array(seen[1:]) for number, seen in state.vehicles.items()}, impossible

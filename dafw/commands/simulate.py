@@ -1,0 +1,111 @@
+"""``dafw simulate``: a truth and a drone that obeys the advice of a live run, in a process of its own."""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from dafw.commands.parser import Parser
+from dafw.core.errors import ConfigurationError
+
+PLACE = "hydra.run.dir="
+
+
+def simulate_command(words: Sequence[str]) -> int:
+    """Play the other side of a live run; raises DafwError."""
+    parser = Parser(
+        prog="dafw simulate",
+        description="Play the truth of a study, and vehicles that obey the advice of the live run that is given the "
+        "same words: dafw simulate WORDS | dafw run WORDS, with readings=live and hydra.run.dir=DIR among them.",
+    )
+    parser.add_argument("overrides", nargs="*", help="the words of the run")
+    parser.add_argument("--config-dir", metavar="DIR", help="a folder with further configuration, as for dafw run")
+    parser.add_argument("--patience", type=float, default=600.0, help="seconds without advice after which it gives up")
+    asked = parser.parse_intermixed_args(words)
+    from dafw.core.composition import compose, study_part
+    from dafw.core.experiment import study_from
+    from dafw.core.registry import registry
+    from dafw.plugins.readings.live import Live
+    from dafw.studies.simulating import Simulation, line_of
+    from dafw.studies.truth_file import FILE, TruthFile
+
+    if not any(word.startswith(PLACE) for word in asked.overrides):
+        raise ConfigurationError(f"simulate: give both commands the same {PLACE}DIR, in which the advice appears")
+    config = compose(asked.overrides, Path(asked.config_dir).resolve() if asked.config_dir else None)
+    folder = Path(config.hydra.run.dir).resolve()
+    composed = study_part(config)
+    live = registry().create("readings", composed["readings"])
+    if not isinstance(live, Live):
+        raise ConfigurationError(f"simulate plays the feed of readings=live, got readings={live.name}")
+    study = study_from({**composed, "readings": {"name": "twin"}})
+    parts, vehicle = study.prepare()
+    path = folder / FILE
+    if (folder / "run.nc").exists() or path.exists():
+        raise ConfigurationError(f"simulate: {folder} holds a run or a truth already; nothing was changed")
+    attributes = {"title": f"truth of the dafw study {study.name}", "name": study.name, "seed": study.seed}
+    truth = TruthFile(path, parts.model.space, attributes)
+    send, listened, adviser = _channel(live, folder)
+    simulation = Simulation(
+        parts,
+        vehicle,
+        live,
+        study.cycles,
+        lambda message: send(line_of(message)),
+        adviser,
+        truth,
+        asked.patience,
+        listened,
+    )
+    try:
+        done = simulation.play()
+        said = f"{done} cycles, {simulation.readings} readings"
+    except BrokenPipeError:
+        _leave_standard_output()
+        said = f"nobody reads the feed any more, after {simulation.readings} readings"
+    finally:
+        truth.close()
+    print(f"dafw simulate: {said}; the truth is in {path}", file=sys.stderr)
+    return 0
+
+
+def _channel(live: Any, folder: Path) -> tuple[Callable[[bytes], None], Callable[[], bool], Any]:
+    """Return what sends a line, what says whether anybody listens, and what brings advice."""
+    from dafw.plugins.readings.feed.channels import GrowingFile
+    from dafw.studies.advice import FILE
+
+    class Advised:
+        """The advice that a run writes to its folder."""
+
+        def __init__(self) -> None:
+            self._file = GrowingFile(folder / FILE)
+
+        def next(self, seconds: float) -> dict[str, Any] | None:
+            line = self._file.next(seconds)
+            return None if line is None or line.left_out else json.loads(line.text)
+
+    if live.source == "-":
+        poll = select.poll()
+        poll.register(1, select.POLLERR)
+
+        def to_standard_output(line: bytes) -> None:
+            sys.stdout.buffer.write(line)
+            sys.stdout.buffer.flush()
+
+        return to_standard_output, lambda: not poll.poll(0), Advised()
+    file = Path(live.source).expanduser()
+
+    def to_file(line: bytes) -> None:
+        with file.open("ab") as stream:
+            stream.write(line)
+
+    return to_file, lambda: True, Advised()
+
+
+def _leave_standard_output() -> None:
+    """Keep Python from writing what is left to a pipe that nobody reads."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
