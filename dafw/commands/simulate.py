@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+import atexit
 import os
 import select
 import sys
@@ -76,18 +76,19 @@ def simulate_command(words: Sequence[str]) -> int:
 def _channel(live: Any, folder: Path) -> tuple[Callable[[bytes], None], Callable[[], bool], Any]:
     """Return what sends a line, what says whether anybody listens, and what brings advice."""
     from dafw.plugins.readings.feed.channels import GrowingFile
+    from dafw.plugins.readings.feed.mqtt import Broker, require_broker
+    from dafw.plugins.readings.live import MQTT
     from dafw.studies.advice import FILE
+    from dafw.studies.simulating import Advised
 
-    class Advised:
-        """The advice that a run writes to its folder."""
-
-        def __init__(self) -> None:
-            self._file = GrowingFile(folder / FILE)
-
-        def next(self, seconds: float) -> dict[str, Any] | None:
-            line = self._file.next(seconds)
-            return None if line is None or line.left_out else json.loads(line.text)
-
+    if live.source == MQTT:
+        require_broker(live.mqtt, live.label)
+        if "#" in live.mqtt.topic or "+" in live.mqtt.topic:
+            raise ConfigurationError(f"simulate: mqtt.topic must be one topic, got {live.mqtt.topic!r}")
+        broker = Broker(live.mqtt, live.mqtt.advice)
+        atexit.register(broker.close)
+        return lambda line: broker.publish(live.mqtt.topic, line), lambda: True, Advised(broker)
+    advice = Advised(GrowingFile(folder / FILE))
     if live.source == "-":
         poll = select.poll()
         poll.register(1, select.POLLERR)
@@ -96,14 +97,14 @@ def _channel(live: Any, folder: Path) -> tuple[Callable[[bytes], None], Callable
             sys.stdout.buffer.write(line)
             sys.stdout.buffer.flush()
 
-        return to_standard_output, lambda: not poll.poll(0), Advised()
+        return to_standard_output, lambda: not poll.poll(0), advice
     file = Path(live.source).expanduser()
 
     def to_file(line: bytes) -> None:
         with file.open("ab") as stream:
             stream.write(line)
 
-    return to_file, lambda: True, Advised()
+    return to_file, lambda: True, advice
 
 
 def _leave_standard_output() -> None:

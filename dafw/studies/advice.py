@@ -42,7 +42,7 @@ class Advice:
         self._warned: set[str] = set()
         if not (study.readings.is_live or study.advice):
             return
-        for place in study.advice:
+        for place in dict.fromkeys([*study.advice, *getattr(study.readings, "advises", [])]):
             self._ways[place] = _way_to(place, parts)
         try:
             self._stream = (folder / FILE).open("ab", buffering=0)

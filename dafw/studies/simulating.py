@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from math import dist
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from dafw.core.errors import ComputationError
 from dafw.core.interfaces.readings import Request
 from dafw.core.observation import Interpolation, Observation, Selection
 from dafw.core.space import Array
+from dafw.plugins.readings.feed.channels import Channel
 from dafw.plugins.readings.live import Live
 from dafw.studies.truth_file import TruthFile
 
@@ -32,11 +33,20 @@ LOOK = 0.2
 """Seconds between two looks whether anybody still reads the feed."""
 
 
-class Adviser(Protocol):
-    """Brings the advice of a run."""
+class Advised:
+    """The advice that comes as lines of a channel: the file in the run's folder, or a broker's topic."""
+
+    def __init__(self, channel: Channel) -> None:
+        self._channel = channel
 
     def next(self, seconds: float) -> dict[str, Any] | None:
-        """Return the next piece of advice, waiting at most so long; None if there is none."""
+        """Return the next piece of advice; None if there is none, or if a line is no advice."""
+        line = self._channel.next(seconds)
+        try:
+            advice = None if line is None else json.loads(line.text)
+        except (ValueError, RecursionError):
+            return None
+        return advice if isinstance(advice, dict) else None
 
 
 @dataclass
@@ -53,7 +63,7 @@ class Simulation:
     live: Live
     cycles: int
     send: Callable[[dict[str, Any]], None]
-    adviser: Adviser
+    adviser: Advised
     truth: TruthFile
     patience: float = 600.0
     listened: Callable[[], bool] = lambda: True

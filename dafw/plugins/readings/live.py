@@ -8,7 +8,7 @@ journal of the run.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
@@ -31,6 +31,7 @@ from dafw.plugins.readings.feed.desk import Desk, Rules
 from dafw.plugins.readings.feed.feed import Feed, Replayed
 from dafw.plugins.readings.feed.journal import zero_of
 from dafw.plugins.readings.feed.messages import names_of
+from dafw.plugins.readings.feed.mqtt import Broker, BrokerOptions, require_broker
 from dafw.plugins.readings.feed.state import FeedState
 from dafw.plugins.readings.feed.usable import observations_of, vehicles_of
 from dafw.plugins.readings.files.options import ColumnOptions
@@ -39,7 +40,7 @@ from dafw.plugins.readings.files.sensors import ErrorOptions
 from dafw.plugins.readings.files.times import parsed_date
 from dafw.plugins.readings.files.units import linear
 
-EXAMPLE = "example"
+EXAMPLE, MQTT = "example", "mqtt"
 CLOCKS = ("feed", "wall")
 
 
@@ -52,9 +53,10 @@ class Live(ErrorOptions, Readings):
 
     source: str = option(
         "-",
-        "- for standard input, the path of a file that grows, of a named pipe or of the journal.jsonl of a run, or "
-        "'example' for a few messages that ship with dafw",
+        "- for standard input, mqtt for a broker, the path of a file that grows, of a named pipe or of the "
+        "journal.jsonl of a run, or 'example' for a few messages that ship with dafw",
     )
+    mqtt: BrokerOptions = option(BrokerOptions, "the broker, for source=mqtt and advice=mqtt")
     clock: str = option(
         "feed",
         "when a cycle ends: at its time by the wall's clock, or when the feed has come to a later time",
@@ -96,6 +98,7 @@ class Live(ErrorOptions, Readings):
 
     _feed: Feed | None = field(default=None, init=False, repr=False, compare=False)
     _folder: Path | None = field(default=None, init=False, repr=False, compare=False)
+    _broker: Broker | None = field(default=None, init=False, repr=False, compare=False)
     _pipe: Channel | None = field(default=None, init=False, repr=False, compare=False)
 
     @classmethod
@@ -128,6 +131,8 @@ class Live(ErrorOptions, Readings):
 
     def suit(self, space: StateSpace, domain: Domain | None, dt: float) -> None:
         """Raise ConfigurationError for units, entries or paths that do not fit the variable."""
+        if self.source == MQTT:
+            require_broker(self.mqtt, self.label)
         variable = space.variables[0] if self.variable is None else space[self.variable]
         linear(self.unit or variable.units, self.reference or variable.units)
         for name, entry in self.entries.items():
@@ -179,16 +184,39 @@ class Live(ErrorOptions, Readings):
             linear("ppm", "ppb")  # units are loaded now, not when the first message with one has come
         if self.source == "-":
             self._pipe = Pipe(0)
+        elif self.source == MQTT:
+            self._connected_broker()
+
+    def _connected_broker(self) -> Broker:
+        """Return the link to the broker, which is made once."""
+        if self._broker is None:
+            self._broker = Broker(self.mqtt, self.mqtt.topic)
+        return self._broker
+
+    @property
+    def advises(self) -> Sequence[str]:
+        """Where advice goes beside the places that a study names: back to where the readings come from."""
+        return [MQTT] if self.source == MQTT else []
+
+    def publisher(self) -> Callable[[bytes], None]:
+        """Return what sends a line of advice to the broker; raises ConfigurationError, ReadingsError."""
+        require_broker(self.mqtt, self.label)
+        broker, topic = self._connected_broker(), self.mqtt.advice
+        return lambda line: broker.publish(topic, line, keep=True)
 
     def end(self) -> None:
         """Close the feed and the journal."""
         if self._feed is not None:
             self._feed.close()
-        self._feed = self._folder = self._pipe = None
+        if self._broker is not None:
+            self._broker.close()
+        self._feed = self._folder = self._pipe = self._broker = None
 
     def _connected(self, state: FeedState) -> Channel:
         if self._pipe is not None:
             return self._pipe
+        if self.source == MQTT:
+            return self._connected_broker()
         if self.source == EXAMPLE:
             return channel_to(str(Path(__file__).with_name("feed") / "example.jsonl"), state.offset)
         path = Path(self.source).expanduser()
@@ -208,7 +236,7 @@ class Live(ErrorOptions, Readings):
         moment = parsed_date(self.start, None) if isinstance(self.start, str) else None
         if moment is not None or self.clock == "feed":
             return None if moment is None else moment.timestamp()
-        found, zero = (False, None) if self.source == "-" else zero_of(Path(self.source).expanduser())
+        found, zero = (False, None) if self.source in ("-", MQTT) else zero_of(Path(self.source).expanduser())
         return zero if found else time()
 
     def _set_zero(self, state: FeedState) -> None:

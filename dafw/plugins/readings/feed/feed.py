@@ -10,6 +10,7 @@ from time import monotonic, time
 from dafw.plugins.readings.feed.channels import Channel
 from dafw.plugins.readings.feed.journal import FILE, Entry, Journal, entries_of, zero_of
 from dafw.plugins.readings.feed.lines import Line
+from dafw.plugins.readings.feed.mqtt import Broker
 from dafw.plugins.readings.feed.state import FeedState
 
 
@@ -105,8 +106,8 @@ class Feed:
         return self._ahead is not None
 
     def close(self) -> None:
-        """Close channel and journal."""
-        if self._channel is not None:
+        """Close the journal, and the channel but for a broker, to which advice is still sent."""
+        if self._channel is not None and not isinstance(self._channel, Broker):
             self._channel.close()
         if self._journal is not None:
             self._journal.close()

@@ -1,0 +1,220 @@
+"""A broker of MQTT: messages come from a topic, and advice goes to another one.
+
+The link may drop and come back: the broker keeps what is sent in the meantime for SESSION seconds, and paho connects
+again by itself. User name and password come from a file or from the environment, and are not part of any option.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import ssl
+import sys
+import threading
+from collections import deque
+from dataclasses import dataclass
+from pathlib import Path
+from time import monotonic
+from typing import Any
+
+from dafw.core.errors import ConfigurationError, ReadingsError
+from dafw.core.options import option
+from dafw.plugins.readings.feed.lines import Line, line_of
+
+log = logging.getLogger("dafw")
+USER, PASSWORD = "DAFW_MQTT_USER", "DAFW_MQTT_PASSWORD"
+SESSION = 3600
+"""Seconds for which a broker keeps messages for a client whose link has dropped."""
+HELD = 64 << 20
+"""Bytes of messages that wait to be read; those beyond are lost, and counted."""
+OVERHEAD = 200
+"""Bytes that a waiting line takes beside its text."""
+FIRST = 10.0
+"""Seconds that a run waits at its beginning for the broker, before it goes on and tries in the background."""
+QUEUED = 100_000
+"""Messages to send that wait for a broker that is away."""
+
+
+@dataclass
+class BrokerOptions:
+    """A broker, and the topics of a run."""
+
+    host: str = option("127.0.0.1", "name or address of the broker")
+    port: int | None = option(None, "its port; null: 1883, with TLS 8883", minimum=1, maximum=65535)
+    topic: str = option("dafw/readings", "topic of the messages; + and # stand for any, as MQTT has it")
+    advice: str = option("dafw/advice", "topic of the advice")
+    credentials: str | None = option(
+        None,
+        f"path of a file with the user's name in its first line and the password in its second; null: the variables "
+        f"{USER} and {PASSWORD} of the environment, if they are set",
+    )
+    tls: bool = option(False, "whether the link is encrypted, and the broker's certificate checked")
+    ca: str | None = option(None, "path of the certificate of the authority that vouches for it; null: the system's")
+
+
+def require_broker(options: BrokerOptions, label: str) -> None:
+    """Raise ConfigurationError if paho is not installed, or the options cannot be those of a broker."""
+    try:
+        import paho.mqtt.client  # noqa: F401
+    except ImportError:
+        raise ConfigurationError(f"{label}: a broker needs paho-mqtt: pip install 'dafw[live]'") from None
+    if "@" in options.host or "/" in options.host:
+        raise ConfigurationError(
+            f"{label}: mqtt.host must be a name or an address alone; user and password come from a file or the "
+            "environment"
+        )
+    if "#" in options.advice or "+" in options.advice:
+        raise ConfigurationError(f"{label}: mqtt.advice must be one topic, got {options.advice!r}")
+    if options.ca is not None and not options.tls:
+        raise ConfigurationError(f"{label}: mqtt.ca goes with mqtt.tls=true")
+    for path in (options.ca, options.credentials):
+        if path is not None and not Path(path).expanduser().is_file():
+            raise ConfigurationError(f"{label}: there is no file {path}")
+
+
+def credentials_of(options: BrokerOptions) -> tuple[str, str | None] | None:
+    """Return the user's name and password; None if there are none. Raises ReadingsError that does not show them."""
+    if options.credentials is None:
+        user = os.environ.get(USER)
+        return None if not user else (user, os.environ.get(PASSWORD))
+    try:
+        lines = Path(options.credentials).expanduser().read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError):
+        raise ReadingsError(f"mqtt.credentials: {options.credentials} cannot be read") from None
+    if not lines or not lines[0].strip():
+        raise ReadingsError(f"mqtt.credentials: {options.credentials} must have the user's name in its first line")
+    return lines[0].strip(), lines[1] if len(lines) > 1 else None
+
+
+class Broker:
+    """A link to a broker that hears one topic; a channel of a feed."""
+
+    offset = 0
+    ended = False
+
+    def __init__(self, options: BrokerOptions, topic: str) -> None:
+        self._options, self._topic = options, topic
+        self._lines: deque[Line] = deque()
+        self._held = self._lost = 0
+        self._changed = threading.Condition()
+        self._heard = threading.Event()  # the topic is subscribed
+        self._refused = ""
+        self._place = f"{options.host}:{self._port}"
+        self._client = self._made()
+        self._connect()
+
+    @property
+    def _port(self) -> int:
+        return self._options.port or (8883 if self._options.tls else 1883)
+
+    def _made(self) -> Any:
+        from paho.mqtt.client import Client, MQTTv5
+        from paho.mqtt.enums import CallbackAPIVersion
+
+        client = Client(CallbackAPIVersion.VERSION2, client_id=f"dafw-{os.urandom(8).hex()}", protocol=MQTTv5)
+        found = credentials_of(self._options)
+        if found is not None:
+            client.username_pw_set(*found)
+        if self._options.tls:
+            ca = self._options.ca
+            try:
+                trusted = ssl.create_default_context(cafile=None if ca is None else str(Path(ca).expanduser()))
+            except OSError:
+                raise ReadingsError(f"mqtt.ca: {ca} is no certificate that can be read") from None
+            client.tls_set_context(trusted)
+        client.reconnect_delay_set(1, 30)
+        client.max_queued_messages_set(QUEUED)
+        client.on_connect, client.on_message = self._on_connect, self._on_message
+        client.on_subscribe, client.on_disconnect = self._on_subscribe, self._on_disconnect
+        return client
+
+    def _connect(self) -> None:
+        """Connect, and wait a while until the topic is heard; a broker that is away is tried on and on."""
+        from paho.mqtt.client import MQTT_CLEAN_START_FIRST_ONLY
+        from paho.mqtt.packettypes import PacketTypes
+        from paho.mqtt.properties import Properties
+
+        keep = Properties(PacketTypes.CONNECT)
+        keep.SessionExpiryInterval = SESSION
+        how = {"keepalive": 30, "clean_start": MQTT_CLEAN_START_FIRST_ONLY, "properties": keep}
+        try:
+            self._client.connect(self._options.host, self._port, **how)
+        except ssl.SSLError as error:
+            raise ReadingsError(f"the broker at {self._place} cannot be trusted ({error.reason or error})") from None
+        except OSError as error:
+            self._warn(f"the broker at {self._place} cannot be reached ({error.strerror or error}); trying on")
+            self._client.connect_async(self._options.host, self._port, **how)
+        self._client.loop_start()
+        deadline = monotonic() + FIRST
+        while not self._heard.wait(0.05) and monotonic() < deadline:
+            self._require_welcome()
+        self._require_welcome()
+
+    def _require_welcome(self) -> None:
+        if self._refused:
+            self._client.loop_stop()
+            raise ReadingsError(f"the broker at {self._place} refuses the link ({self._refused})")
+
+    @staticmethod
+    def _warn(text: str) -> None:
+        log.warning("%s", text)
+        print(f"dafw: warning: {text}", file=sys.stderr)
+
+    def _on_connect(self, client: Any, data: Any, flags: Any, reason: Any, properties: Any) -> None:
+        if reason.is_failure:
+            self._refused = str(reason)
+            return
+        client.subscribe(self._topic, qos=1)  # anew, because a broker that was started again has forgotten it
+
+    def _on_subscribe(self, client: Any, data: Any, number: int, reasons: Any, properties: Any) -> None:
+        if any(reason.is_failure for reason in reasons):
+            self._refused = f"{self._topic}: {reasons[0]}"
+        self._heard.set()
+
+    def _on_disconnect(self, client: Any, data: Any, flags: Any, reason: Any, properties: Any) -> None:
+        if reason.is_failure and not self._refused:
+            log.warning("the link to the broker at %s dropped (%s); trying on", self._place, reason)
+
+    def _on_message(self, client: Any, data: Any, message: Any) -> None:
+        with self._changed:
+            for part in message.payload.splitlines():
+                if not part.strip():
+                    continue
+                line = line_of(part)
+                size = len(line.text) + OVERHEAD
+                if self._held + size > HELD:
+                    self._lost += 1
+                else:
+                    self._lines.append(line)
+                    self._held += size
+            self._changed.notify()
+
+    def next(self, seconds: float) -> Line | None:
+        """Return the next line; None if none came in time. Raises ReadingsError if the broker refuses the link."""
+        with self._changed:
+            if not self._lines and seconds > 0.0:
+                self._changed.wait(seconds)
+            if self._lines:
+                line = self._lines.popleft()
+                self._held -= len(line.text) + OVERHEAD
+                return line
+            lost, self._lost = self._lost, 0
+        self._require_welcome()
+        return Line(left_out="lost", count=lost) if lost else None
+
+    def publish(self, topic: str, line: bytes, *, keep: bool = False) -> None:
+        """Send a line; ``keep``: the broker keeps it for those who come later. Raises OSError if too many wait."""
+        from paho.mqtt.enums import MQTTErrorCode
+
+        sent = self._client.publish(topic, line.strip(), qos=1, retain=keep)
+        if sent.rc == MQTTErrorCode.MQTT_ERR_QUEUE_SIZE:
+            raise OSError(f"{QUEUED} messages wait for the broker at {self._place}")
+        self._last = sent
+
+    def close(self) -> None:
+        """Wait shortly until everything is sent, and leave."""
+        last = getattr(self, "_last", None)
+        if last is not None and self._client.is_connected():
+            last.wait_for_publish(timeout=5.0)
+        self._client.disconnect()
+        self._client.loop_stop()
