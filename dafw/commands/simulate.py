@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import atexit
 import os
 import select
 import sys
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from dafw.commands.parser import Parser
-from dafw.core.errors import ConfigurationError
+from dafw.core.errors import ComputationError, ConfigurationError
 
 PLACE = "hydra.run.dir="
 
@@ -49,17 +49,17 @@ def simulate_command(words: Sequence[str]) -> int:
         raise ConfigurationError(f"simulate: {folder} holds a run or a truth already; nothing was changed")
     attributes = {"title": f"truth of the dafw study {study.name}", "name": study.name, "seed": study.seed}
     truth = TruthFile(path, parts.model.space, attributes)
-    send, listened, adviser = _channel(live, folder)
+    link = _link(live, folder)
     simulation = Simulation(
         parts,
         vehicle,
         live,
         study.cycles,
-        lambda message: send(line_of(message)),
-        adviser,
+        lambda message: link.send(line_of(message)),
+        link.advice,
         truth,
         asked.patience,
-        listened,
+        link.is_heard,
     )
     try:
         done = simulation.play()
@@ -68,16 +68,31 @@ def simulate_command(words: Sequence[str]) -> int:
         _leave_standard_output()
         said = f"nobody reads the feed any more, after {simulation.readings} readings"
     finally:
+        link.close()
         truth.close()
+        if not simulation.begun:
+            path.unlink()  # the run has never begun: the same words can be tried again
+    if not simulation.begun:
+        raise ComputationError("simulate: the run ended before its first advice")
     print(f"dafw simulate: {said}; the truth is in {path}", file=sys.stderr)
     return 0
 
 
-def _channel(live: Any, folder: Path) -> tuple[Callable[[bytes], None], Callable[[], bool], Any]:
-    """Return what sends a line, what says whether anybody listens, and what brings advice."""
+@dataclass(frozen=True)
+class _Link:
+    """What sends a line, what brings advice, what says whether anybody listens, and what closes it."""
+
+    send: Callable[[bytes], None]
+    advice: Any
+    is_heard: Callable[[], bool] = lambda: True
+    close: Callable[[], None] = lambda: None
+
+
+def _link(live: Any, folder: Path) -> _Link:
+    """Return the other side of what ``readings=live`` reads."""
     from dafw.plugins.readings.feed.channels import GrowingFile
     from dafw.plugins.readings.feed.mqtt import Broker, require_broker
-    from dafw.plugins.readings.live import MQTT
+    from dafw.plugins.readings.live import EXAMPLE, MQTT
     from dafw.studies.advice import FILE
     from dafw.studies.simulating import Advised
 
@@ -86,8 +101,7 @@ def _channel(live: Any, folder: Path) -> tuple[Callable[[bytes], None], Callable
         if "#" in live.mqtt.topic or "+" in live.mqtt.topic:
             raise ConfigurationError(f"simulate: mqtt.topic must be one topic, got {live.mqtt.topic!r}")
         broker = Broker(live.mqtt, live.mqtt.advice)
-        atexit.register(broker.close)
-        return lambda line: broker.publish(live.mqtt.topic, line), lambda: True, Advised(broker)
+        return _Link(lambda line: broker.publish(live.mqtt.topic, line), Advised(broker), close=broker.close)
     advice = Advised(GrowingFile(folder / FILE))
     if live.source == "-":
         poll = select.poll()
@@ -97,14 +111,16 @@ def _channel(live: Any, folder: Path) -> tuple[Callable[[bytes], None], Callable
             sys.stdout.buffer.write(line)
             sys.stdout.buffer.flush()
 
-        return to_standard_output, lambda: not poll.poll(0), advice
+        return _Link(to_standard_output, advice, lambda: not poll.poll(0))
+    if live.source == EXAMPLE:
+        raise ConfigurationError("simulate: readings.source must be -, mqtt or the path of a file, got example")
     file = Path(live.source).expanduser()
 
     def to_file(line: bytes) -> None:
         with file.open("ab") as stream:
             stream.write(line)
 
-    return to_file, lambda: True, advice
+    return _Link(to_file, advice)
 
 
 def _leave_standard_output() -> None:

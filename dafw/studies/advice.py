@@ -12,6 +12,7 @@ import logging
 import os
 import sys
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -24,6 +25,7 @@ from dafw.core.errors import ConfigurationError, RecordError
 from dafw.core.geography import to_degrees
 from dafw.core.space import Array, Kind, StateSpace
 from dafw.core.study import Study
+from dafw.plugins.readings.live import Live
 
 log = logging.getLogger("dafw")
 FILE = "advice.jsonl"
@@ -40,9 +42,11 @@ class Advice:
         self._stream: BinaryIO | None = None
         self._ways: dict[str, Callable[[bytes], None]] = {}
         self._warned: set[str] = set()
+        self._ended = False
         if not (study.readings.is_live or study.advice):
             return
-        for place in dict.fromkeys([*study.advice, *getattr(study.readings, "advises", [])]):
+        told = study.readings.advises if isinstance(study.readings, Live) else []
+        for place in dict.fromkeys([*study.advice, *told]):
             self._ways[place] = _way_to(place, parts)
         try:
             self._stream = (folder / FILE).open("ab", buffering=0)
@@ -58,10 +62,17 @@ class Advice:
         """Write the belief after the last cycle, and that there will be no more advice."""
         if self._stream is not None:
             self._write(advice_of(self._parts, state, None) | {"end": True})
+            self._ended = True
 
     def close(self) -> None:
-        """Close the file."""
-        if self._stream is not None:
+        """Close the file; of a run that did not reach its end, say that there will be no more advice."""
+        if self._stream is None:
+            return
+        try:
+            if not self._ended:
+                with suppress(RecordError):  # another error has ended the run already
+                    self._write({"end": True})
+        finally:
             self._stream.close()
             self._stream = None
 
@@ -88,11 +99,9 @@ def _way_to(place: str, parts: Parts) -> Callable[[bytes], None]:
     if place == "-":
         return _to_standard_output
     if place == "mqtt":
-        publish = getattr(parts.readings, "publisher", None)
-        if publish is None:
+        if not isinstance(parts.readings, Live):
             raise ConfigurationError("advice=mqtt goes with readings=live, whose options say which broker")
-        send: Callable[[bytes], None] = publish()
-        return send
+        return parts.readings.publisher()
     path = Path(place).expanduser()
 
     def to_path(line: bytes) -> None:
@@ -116,7 +125,7 @@ def advice_of(parts: Parts, state: State, route: Route | None) -> dict[str, Any]
     belief, domain = state.belief.ensemble, parts.model.domain
     origin = None if domain is None else domain.origin
     told: dict[str, Any] = {"cycle": state.cycle, "time": belief.time}
-    zero = getattr(parts.readings, "zero_of_run", lambda memory: None)(state.readings_memory)
+    zero = parts.readings.zero_of_run(state.readings_memory) if isinstance(parts.readings, Live) else None
     if zero is not None:
         told["date"] = datetime.fromtimestamp(zero + belief.time, UTC).isoformat()
     told["vehicles"] = []

@@ -61,6 +61,8 @@ def run_study(study: Study, folder: Path, communicator: Any = None) -> dict[str,
                 try:
                     run.cycles(parts, vehicle, stop)
                 finally:
+                    if run.advice is not None:
+                        run.advice.close()
                     parts.readings.end()
             run.end("complete")
             log.info("%s", closing_line(study, run.summary.values()))
@@ -104,6 +106,7 @@ class _Run:
         self.summary = Summary(study, begun, communicator.size if communicator else 1)
         self.record: Record | None = None
         self.forecasting: Forecasting | None = None
+        self.advice: Advice | None = None
         self._writing = _Writing(folder)
         # The status of a run that is killed before it can write another one.
         self.noted = perf_counter()
@@ -132,11 +135,11 @@ class _Run:
             if study.forecast.every is not None:
                 self.forecasting = Forecasting(study.forecast, parts, state, self.folder, summary.file_attributes())
         logged = 0.0
-        advice = Advice(study, parts, self.folder)
+        self.advice = Advice(study, parts, self.folder)
         with progress(study.cycles, "cycle") as bar:
             for done in range(1, study.cycles + 1):
                 try:
-                    cycle = advance(parts, state, partial(advice.give, state))
+                    cycle = advance(parts, state, partial(self.advice.give, state))
                 except NoMoreReadingsError as ended:
                     log.info("%s", ended)
                     break
@@ -159,7 +162,7 @@ class _Run:
                         self._write_summary()
                 if stop.agreed(self.communicator) and done < study.cycles:
                     raise Interrupted
-        advice.end(state)
+        self.advice.end(state)
         summary.end(parts, state)
 
     def _say(self, cycle: Cycle, parts: Parts) -> None:

@@ -68,6 +68,7 @@ class Simulation:
     patience: float = 600.0
     listened: Callable[[], bool] = lambda: True
     readings: int = 0
+    begun: bool = False
 
     def play(self) -> int:
         """Return how many cycles were played; raises ComputationError if no advice comes."""
@@ -82,6 +83,7 @@ class Simulation:
             advice = self._advice(cycle, None if zero is None else zero + now + parts.model.dt)
             if advice is not None and advice.get("end"):
                 return cycle
+            self.begun = True
             if self.live.clock == "wall" and zero is None and advice is not None:
                 zero = datetime.fromisoformat(advice["date"]).timestamp() - advice["time"]
             left = parts.model.dt if zero is None else max(0.0, zero + now + parts.model.dt - time.time())

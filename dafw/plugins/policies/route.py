@@ -113,9 +113,17 @@ class ListedRoute(Policy):
     ) -> Route:
         """Return the next piece of each vehicle's route."""
         upcoming = (memory or self.initial_memory(vehicle))["upcoming"].copy()
-        paths = []
+        paths, notes = [], []
         for number, position in enumerate(vehicle.positions):
             points, around = self._of_vehicle(number)
-            path, upcoming[number] = flown(position, points, int(upcoming[number]), around, vehicle.reach)
+            path, then = flown(position, points, int(upcoming[number]), around, vehicle.reach)
+            # The legs of the route are free: only one from where a vehicle was not sent can meet anything.
+            if vehicle.airspace is None or all(vehicle.airspace.is_free(*leg) for leg in pairwise(path)):
+                upcoming[number] = then
+            else:
+                path = position[np.newaxis]
+                notes.append(
+                    f"vehicle {number} hovers at {position.round(1).tolist()}: its way to the route is blocked"
+                )
             paths.append(path)
-        return Route(tuple(paths), memory={"upcoming": upcoming})
+        return Route(tuple(paths), memory={"upcoming": upcoming}, notes=tuple(notes))

@@ -164,6 +164,7 @@ class Live(ErrorOptions, Readings):
             common=self._common,
             places=places,
             size=variable.size,
+            plausible=variable.plausible,
             known=frozenset(self.entries or self._paths) or None,
             entries=self.entries,
             vehicles={name: number for number, name in enumerate(self.vehicles)},
@@ -180,6 +181,7 @@ class Live(ErrorOptions, Readings):
     def begin(self, folder: Path, asked_to_stop: Callable[[], bool]) -> None:
         """Keep the folder of the journal, and begin to read what cannot be read again."""
         self._folder, self._asked = folder, asked_to_stop
+        self.__dict__.pop("_zero", None)  # of a run before
         if self.clock == "wall":
             linear("ppm", "ppb")  # units are loaded now, not when the first message with one has come
         if self.source == "-":

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
 from hashlib import blake2b
+from math import inf
 
 from dafw.core.errors import ReadingsError
 from dafw.core.late import FORGIVEN
@@ -18,6 +19,12 @@ from dafw.plugins.readings.files.units import linear
 
 MOST_SENSORS = 1000
 """Different names of sensors that a run keeps apart."""
+FAR = 1e12
+"""Seconds before t = 0, some 30,000 years, that no time can be."""
+SENSE = 1e30
+"""Values and standard deviations above it, and standard deviations below its inverse, are no readings."""
+BEYOND = 10.0
+"""A value so many times beyond what the model can produce is no reading."""
 
 
 @dataclass(frozen=True)
@@ -26,8 +33,9 @@ class Rules:
 
     ``names`` are those of ``names_of``, ``wanted`` is the unit of the variable, ``errors`` by sensor their errors and
     ``common`` those of all others. ``places``: the kinds of places that a reading may have, none: it needs no place.
-    ``size``: the entries of the variable. ``known`` are the only sensors that are used, None: all; ``entries`` are
-    those that they read. ``first``: whether the first reading is t = 0. ``stamped``: whether a reading without a time
+    ``size``: the entries of the variable; ``plausible``: the largest value that the model can produce. ``known`` are
+    the only sensors that are used, None: all; ``entries`` are those that they read. ``vehicles``: the numbers of the
+    sensors on vehicles. ``first``: whether the first reading is t = 0. ``stamped``: whether a reading without a time
     has that of its arrival. ``furthest``: how many seconds beyond the cycle a reading may be. ``most``: how many
     readings a cycle may have.
     """
@@ -38,6 +46,7 @@ class Rules:
     common: ErrorOptions
     places: tuple[str, ...]
     size: int
+    plausible: float = inf
     known: frozenset[str] | None = None
     entries: Mapping[str, int] = field(default_factory=dict)
     vehicles: Mapping[str, int] = field(default_factory=dict)
@@ -119,6 +128,8 @@ class Desk:
         return given - state.seconds
 
     def _near(self, time: float) -> float:
+        if time < -FAR:
+            raise UnusableError("impossible", f"its time is {time:g} s")
         if time > self.end + self.rules.furthest:
             raise UnusableError("too_far_ahead", f"its time is {time:g} s, the cycle ends at {self.end:g} s")
         return time
@@ -144,7 +155,7 @@ class Desk:
         if before and not unit:
             raise UnusableError("unit_missing", f"the sensor '{reading.sensor}' told the unit {before} before")
         try:
-            linear(unit or rules.wanted, rules.wanted)
+            shift, factor = linear(unit or rules.wanted, rules.wanted)
         except ReadingsError as error:
             raise UnusableError("unknown_unit", str(error)) from None
         if before and unit != before and "unit_changed" not in state.shown:
@@ -153,10 +164,12 @@ class Desk:
         errors = rules.errors.get(reading.sensor, rules.common)
         if reading.sd is None and errors.sd is None:
             raise UnusableError("no_sd", "it has no standard deviation: expected 'sd' or the option sd")
-        low = reading.value is not None and rules.lowest is not None and reading.value < rules.lowest
-        high = reading.value is not None and rules.highest is not None and reading.value > rules.highest
-        if low or high:
-            raise UnusableError("impossible", f"its value is {reading.value:g}")
+        value, sd = reading.value or 0.0, abs(factor) * (errors.sd or 1.0 if reading.sd is None else reading.sd)
+        low = rules.lowest is not None and value < rules.lowest
+        high = rules.highest is not None and value > rules.highest
+        limit = min(SENSE, BEYOND * rules.plausible)
+        if low or high or abs(shift + factor * (value - errors.background)) > limit or not 1.0 / SENSE < sd < SENSE:
+            raise UnusableError("impossible", f"its value is {value:g}, its standard deviation {sd:g}")
         reading.unit = unit
         state.units[reading.sensor] = unit
         state.remember(key)

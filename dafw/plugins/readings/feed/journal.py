@@ -48,6 +48,8 @@ class Entry:
 
 def zero_of(path: Path) -> tuple[bool, float | None]:
     """Return whether a file is a journal, and the Unix time of t = 0 in it."""
+    if not path.is_file():  # a named pipe would make its reader wait
+        return False, None
     try:
         with path.open("rb") as stream:
             head = json.loads(stream.readline(LONGEST_ENTRY))

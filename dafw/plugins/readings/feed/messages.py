@@ -82,6 +82,8 @@ def read_message(text: str, names: Mapping[str, str], time_format: str | None = 
             raise UnusableError("incomplete", "'until' has no time")
         return Message(until=until)
     time = _time(cells.get("time"), time_format)
+    if "time" in cells and time is None:
+        raise UnusableError("incomplete", f"it has no time: {shown(text)}")
     numbers = {role: _number(cells[role], role) for role in NUMBERS if role in cells}
     texts = {role: _text(cells[role], role) for role in TEXTS if role in cells}
     if "value" in cells and numbers["value"] is None:
@@ -96,11 +98,20 @@ def read_message(text: str, names: Mapping[str, str], time_format: str | None = 
 
 def _time(cell: Any, time_format: str | None) -> float | datetime | None:
     """Return seconds, or a date in UTC; None if there is no time."""
-    if isinstance(cell, str) and cell.strip().lower() not in MISSING:
+    if isinstance(cell, str) and cell.strip().lower() not in MISSING and (time_format or not _is_number(cell)):
         moment = parsed_date(cell[:200], time_format)
-        if moment is not None:
-            return moment
+        if moment is None:
+            raise UnusableError("wrong_time", f"expected seconds or a date, got {shown(cell)}")
+        return moment
     return _number(cell, "time")
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def _number(cell: Any, role: str) -> float | None:
