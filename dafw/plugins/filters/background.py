@@ -5,16 +5,17 @@ A prediction h (above background, of a source that is on) and the reading y of s
     y_i(t) = b_i(t) + g_i o(t) h_i(t) + error,    b_i(t + T) = b_i(t) + drift sqrt(T) xi,    o = 0 or 1
 
 with standard normal xi and b_i(0) normal. The gain g_i is constant and normal around 1; it is 1 where ``gain_sd`` is 0.
-o changes with the chance 1 - exp(-T / on_off) in a time T; at first both are
-equally likely. Given o, every pair (b_i, g_i) has a Kalman filter of its own. Over the two values of o the filters are mixed before
-each step, as in the interacting multiple model filter (Blom and Bar-Shalom 1988, doi:10.1109/9.1299): so neither
-backgrounds and gains nor the times of a leak's beginning and end need be sampled. The error has the variance ::
+o changes with the chance 1 - exp(-T / on_off) in a time T; at first both are equally likely. Given o, every pair (b_i,
+g_i) has a Kalman filter of its own. Over the two values of o the filters are mixed before each step, as in the
+interacting multiple model filter (Blom and Bar-Shalom 1988, doi:10.1109/9.1299): so neither backgrounds and gains nor
+the times of a leak's beginning and end need be sampled. The error has the variance ::
 
     s^2 = R + a^2 + r^2 (o h_i)^2 + r^2 (mean of o h over the sensors)^2
 
 The last term is there because a wind that is a little off moves a plume from one sensor to the next. Errors have a
-Student t distribution if ``degrees_of_freedom`` is finite. Then a reading moves background and gain as much as its weight
-(nu + 1) / (nu + z^2) says, at most 1, with z the misfit over its standard deviation: an outlier hardly moves them.
+Student t distribution if ``degrees_of_freedom`` is finite. Then a reading moves background and gain as much as its
+weight (nu + 1) / (nu + z^2) says, at most 1, with z the misfit over its standard deviation: an outlier hardly moves
+them.
 
 The loops are compiled by numba.
 """
