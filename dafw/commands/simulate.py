@@ -92,7 +92,7 @@ def _link(live: Any, folder: Path) -> _Link:
     """Return the other side of what ``readings=live`` reads."""
     from dafw.plugins.readings.feed.channels import GrowingFile
     from dafw.plugins.readings.feed.mqtt import Broker, require_broker
-    from dafw.plugins.readings.live import EXAMPLE, MQTT
+    from dafw.plugins.readings.feed.options import EXAMPLE, MQTT
     from dafw.studies.advice import FILE
     from dafw.studies.simulating import Advised
 
