@@ -48,8 +48,8 @@ def simulate_command(words: Sequence[str]) -> int:
     if (folder / "run.nc").exists() or path.exists():
         raise ConfigurationError(f"simulate: {folder} holds a run or a truth already; nothing was changed")
     attributes = {"title": f"truth of the dafw study {study.name}", "name": study.name, "seed": study.seed}
-    truth = TruthFile(path, parts.model.space, attributes)
     link = _link(live, folder)
+    truth = TruthFile(path, parts.model.space, attributes)
     simulation = Simulation(
         parts,
         vehicle,

@@ -255,10 +255,12 @@ class Study:
         """Run the study and yield its cycles one at a time; nothing is written."""
         parts, state = self.begin()
         with parts.executor:
-            for _ in range(self.cycles):
-                try:
+            try:
+                for _ in range(self.cycles):
                     cycle = advance(parts, state)
-                except NoMoreReadingsError:
-                    return
-                yield cycle
-                state = cycle.state
+                    yield cycle
+                    state = cycle.state
+            except NoMoreReadingsError:
+                return
+            finally:
+                parts.readings.end()

@@ -182,10 +182,10 @@ def obeyed(vehicle: Vehicle, advice: dict[str, Any] | None, seconds: float) -> R
 
 def _cut(way: list[Array], reach: float) -> Array:
     """Return the beginning of a way (k, 2), at most so many metres long."""
-    path, left = [way[0]], reach * (1.0 + 1e-9)
+    path, left = [way[0]], reach
     for point in way[1:]:
         length = dist(path[-1], point)
-        if length > left:
+        if length > left + 1e-9 * reach:
             path.append(path[-1] + (point - path[-1]) * (left / length))
             break
         path.append(point)

@@ -13,7 +13,7 @@ import threading
 import time
 from collections import deque
 from pathlib import Path
-from typing import BinaryIO, Protocol
+from typing import Protocol
 
 from dafw.core.errors import ReadingsError
 from dafw.plugins.readings.feed.lines import Line, Splitter
@@ -101,7 +101,7 @@ class GrowingFile:
     def __init__(self, path: Path, offset: int = 0) -> None:
         self.path, self.ended = path, False
         self._read_to = offset
-        self._stream: BinaryIO | None = None
+        self._descriptor: int | None = None
         self._splitter = Splitter(offset)
         self._lines: deque[Line] = deque()
         self.offset = offset
@@ -121,12 +121,12 @@ class GrowingFile:
     def _more(self) -> bool:
         """Read on, and return whether there are lines; raises ReadingsError if the file cannot be read."""
         try:
-            if self._stream is None:
-                self._stream = self.path.open("rb", buffering=0)
-                if os.fstat(self._stream.fileno()).st_size < self._read_to:
+            if self._descriptor is None:
+                self._descriptor = os.open(self.path, os.O_RDONLY)
+                if os.fstat(self._descriptor).st_size < self._read_to:
                     self._restart()  # not the file that was read before
-                self._stream.seek(self._read_to)
-            data = self._stream.read(CHUNK)
+                os.lseek(self._descriptor, self._read_to, os.SEEK_SET)
+            data = os.read(self._descriptor, CHUNK)
         except FileNotFoundError:
             return False
         except OSError as error:
@@ -140,13 +140,13 @@ class GrowingFile:
 
     def _begin_anew(self) -> None:
         """Leave a file that was replaced, or cut short, for the one that now has its name."""
-        if self._stream is None:
+        if self._descriptor is None:
             return
         try:
             there = self.path.stat()
         except OSError:
             return  # between two files
-        here = os.fstat(self._stream.fileno())
+        here = os.fstat(self._descriptor)
         if (here.st_ino, here.st_dev) != (there.st_ino, there.st_dev) or there.st_size < self._read_to:
             self.close()
             self._restart()
@@ -157,9 +157,12 @@ class GrowingFile:
 
     def close(self) -> None:
         """Close the file."""
-        if self._stream is not None:
-            self._stream.close()
-            self._stream = None
+        if self._descriptor is not None:
+            os.close(self._descriptor)
+            self._descriptor = None
+
+    def __del__(self) -> None:
+        self.close()
 
 
 def channel_to(source: str, offset: int = 0) -> Channel:

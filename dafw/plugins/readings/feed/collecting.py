@@ -27,7 +27,7 @@ def collect(feed: Feed, desk: Desk, cycle: int, grace: float, patience: Patience
     heard, drained = monotonic(), 0
     while True:
         left = _left(feed, desk, grace) if patience.wall else LOOK
-        if not feed.is_own and _is_over(feed, desk, grace, left, drained, patience):
+        if not feed.tells_ends(desk.state) and _is_over(feed, desk, grace, left, drained, patience):
             if not (has_ended(feed, desk) and desk.is_barren):
                 feed.end_cycle(cycle, desk.state)
             return

@@ -21,6 +21,8 @@ MOST_SENSORS = 1000
 """Different names of sensors that a run keeps apart."""
 FAR = 1e12
 """Seconds before t = 0, some 30,000 years, that no time can be."""
+WORLD = 1e9
+"""Metres from the middle of a site that no place can be."""
 SENSE = 1e30
 """Values and standard deviations above it, and standard deviations below its inverse, are no readings."""
 BEYOND = 10.0
@@ -145,6 +147,8 @@ class Desk:
             reading.kind, reading.place = "entry", (float(rules.entries[reading.sensor]),)
         if reading.kind == "entry" and reading.place[0] >= rules.size:
             raise UnusableError("outside", f"its entry is {reading.place[0]:g}, the variable has {rules.size}")
+        if reading.kind == "metres" and max(map(abs, reading.place)) > WORLD:
+            raise UnusableError("outside", f"its place is {reading.place[0]:g}, {reading.place[1]:g} m")
         key = int.from_bytes(blake2b(repr(reading.key).encode(), digest_size=8).digest())
         if state.is_known(key):
             raise UnusableError("doubled")

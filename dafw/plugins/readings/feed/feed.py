@@ -100,10 +100,11 @@ class Feed:
         if self._journal is not None:
             self._journal.end(cycle)
 
-    @property
-    def is_own(self) -> bool:
-        """Whether the next entry is one of the run's own journal, which says when a cycle ends."""
-        return self._ahead is not None
+    def tells_ends(self, state: FeedState) -> bool:
+        """Return whether the next entry is one of a journal, which says when a cycle ends."""
+        if self._ahead is None and self._channel is None:
+            self._channel = self._connect(state)
+        return self._ahead is not None or (isinstance(self._channel, Replayed) and not self._channel.ended)
 
     def close(self) -> None:
         """Close the journal, and the channel but for a broker, to which advice is still sent."""
