@@ -108,6 +108,11 @@ install_browser() { # for the tests of the page that `dafw report` writes
     (install_system_packages chromium) || say "no browser: the tests of the page are skipped"
 }
 
+install_broker() { # for the tests of live runs through MQTT; Debian keeps it where only root's PATH leads
+    if command -v mosquitto >/dev/null || [ -x /usr/sbin/mosquitto ]; then return; fi
+    (install_system_packages mosquitto) || say "no broker: the tests of MQTT are skipped"
+}
+
 case ${1:-} in -h | --help) sed -n '2,/^set/{/^#/s/^# \{0,1\}//p;}' "$0" && exit ;; esac
 
 if ! up_to_date; then
@@ -122,6 +127,7 @@ case ${1:-} in
         shift
         cd "$here"
         install_browser </dev/null >&2
+        install_broker </dev/null >&2
         ruff check
         ruff format --check
         mypy

@@ -248,6 +248,7 @@ def test_setup_installs_all_that_the_doctor_may_name():
 
 def _tests_without_a_browser(world: World, user: str) -> tuple[int, str, str]:
     world.run()
+    world.command("mosquitto", "")
     world.command("id", f"echo {user}")
     world.command("apt-get", 'echo "apt-get $*" >>"$LOG"')
     for name in ("ruff", "mypy", "pytest"):
@@ -274,9 +275,19 @@ def test_without_rights_the_browser_is_named_and_the_other_tests_run(world):
     assert world.calls("apt-get") == 0
 
 
+@pytest.mark.skipif(Path("/usr/sbin/mosquitto").exists(), reason="there is a broker, where setup.sh looks for it")
+def test_the_tests_get_a_broker_where_there_is_none(world):
+    world.command("chromium", "")
+    status, _, err = _tests_without_a_browser(world, "1000")
+    assert status == 0 and "no broker" not in err
+    (world.bin / "mosquitto").unlink()
+    assert world.run("test")[2].splitlines()[-1] == "dafw: no broker: the tests of MQTT are skipped"
+
+
 def _checks(world: World, failing: str) -> tuple[int, list[str]]:
     world.run()
     world.command("chromium", "")
+    world.command("mosquitto", "")
     for name in ("ruff", "mypy", "pytest"):
         world.command(name, f'echo {name} "$@"; [ "{name} $1" != "{failing}" ] || exit 5', world.checkout / ".venv/bin")
     status, out, _ = world.run("test", "-k", "a word")
