@@ -107,6 +107,12 @@ REDUCED = {
         "few moments, few moves",
     ),
     r"python -m benchmarks\.chilbolton.*$": (f"{BENCHMARKS}.chilbolton --help", "the data are not shipped"),
+    r"^dafw run (?=experiment=live .*source=mqtt)": ("dafw run --cfg job ", "no broker: composed and shown"),
+    r"^(dafw simulate experiment=live .*) (\| dafw run experiment=live .*)$": (
+        rf"\1 {COARSE} {BASIS} \2 {COARSE} {BASIS}",
+        "some 300 nodes, three members, one cycle, a basis of four winds",
+    ),
+    r"^dafw run experiment=live (?!.*source=mqtt).*$": (rf"\g<0> {COARSE} {BASIS}", "the same"),
     r"^dafw run experiment=recorded.*$": (rf"\g<0> {COARSE} {BASIS}", "some 300 nodes, three members, one cycle"),
     FLAGSHIP: (rf"\g<0> {COARSE}", "some 300 nodes, three members, one cycle"),
     r"python -m benchmarks (?!.*(over_dapper|from_py))": (
@@ -126,6 +132,7 @@ REDUCED = {
 """Commands that would take long or that a test cannot run: what is run instead, and why."""
 
 OMITTED = {
+    r"^dafw simulate .* &$": "needs a broker, which tests/plugins/readings/test_live_mqtt.py has",
     r"^uv pip compile ": "asks a package registry, and would write the lock file",
     r"l96\.etkf_over_dapper": "downloads DAPPER into an environment of its own",
     r"esmda\.difference_from_pyesmda": "downloads pyESMDA into an environment of its own",

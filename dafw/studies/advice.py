@@ -15,6 +15,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
+from time import time
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -128,6 +129,8 @@ def advice_of(parts: Parts, state: State, route: Route | None) -> dict[str, Any]
     zero = parts.readings.zero_of_run(state.readings_memory) if isinstance(parts.readings, Live) else None
     if zero is not None:
         told["date"] = datetime.fromtimestamp(zero + belief.time, UTC).isoformat()
+        if isinstance(parts.readings, Live) and parts.readings.clock == "wall":
+            told["behind"] = max(0.0, time() - zero - belief.time)
     told["vehicles"] = []
     for number, position in enumerate(state.vehicle.positions):
         one = {"vehicle": number, "at": position.tolist()}
