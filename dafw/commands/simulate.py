@@ -31,6 +31,7 @@ def simulate_command(words: Sequence[str]) -> int:
     from dafw.core.experiment import study_from
     from dafw.core.registry import registry
     from dafw.plugins.readings.live import Live
+    from dafw.studies.advice import FILE as ADVICE
     from dafw.studies.simulating import Simulation, line_of
     from dafw.studies.truth_file import FILE, TruthFile
 
@@ -42,11 +43,11 @@ def simulate_command(words: Sequence[str]) -> int:
     live = registry().create("readings", composed["readings"])
     if not isinstance(live, Live):
         raise ConfigurationError(f"simulate plays the feed of readings=live, got readings={live.name}")
+    path = folder / FILE
+    if path.exists() or (live.clock == "feed" and _is_under_way(folder / ADVICE)):
+        raise ConfigurationError(f"simulate: {folder} holds a truth or a run already; nothing was changed")
     study = study_from({**composed, "readings": {"name": "twin"}})
     parts, vehicle = study.prepare()
-    path = folder / FILE
-    if (folder / "run.nc").exists() or path.exists():
-        raise ConfigurationError(f"simulate: {folder} holds a run or a truth already; nothing was changed")
     attributes = {"title": f"truth of the dafw study {study.name}", "name": study.name, "seed": study.seed}
     link = _link(live, folder)
     truth = TruthFile(path, parts.model.space, attributes)
@@ -76,6 +77,15 @@ def simulate_command(words: Sequence[str]) -> int:
         raise ComputationError("simulate: the run ended before its first advice")
     print(f"dafw simulate: {said}; the truth is in {path}", file=sys.stderr)
     return 0
+
+
+def _is_under_way(advice: Path) -> bool:
+    """Return whether a run has gone beyond its first advice, for which it needs no simulation."""
+    try:
+        with advice.open("rb") as stream:
+            return sum(1 for _ in stream) > 1
+    except FileNotFoundError:
+        return False
 
 
 @dataclass(frozen=True)

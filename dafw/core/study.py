@@ -125,6 +125,8 @@ class Study:
         for label, places in (("start", self.start), ("section", self.section)):
             if any(np.shape(place) != (2,) for place in places):
                 raise ConfigurationError(f"a study's {label} must be [[x, y], ...] in metres, got {places}")
+        if "mqtt" in self.advice and not self.readings.is_live:
+            raise ConfigurationError("advice=[mqtt] goes with readings=live, whose options say which broker")
         if self.readings.needs_truth and self.truth is None:
             raise ConfigurationError(
                 f"{self.readings.label} reads a truth, and the study has none: give it a truth, or readings of another "

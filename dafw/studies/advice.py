@@ -101,7 +101,7 @@ def _way_to(place: str, parts: Parts) -> Callable[[bytes], None]:
         return _to_standard_output
     if place == "mqtt":
         if not isinstance(parts.readings, Live):
-            raise ConfigurationError("advice=mqtt goes with readings=live, whose options say which broker")
+            raise ConfigurationError("advice=[mqtt] goes with readings=live, whose options say which broker")
         return parts.readings.publisher()
     path = Path(place).expanduser()
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import threading
 from dataclasses import dataclass, field, replace
+from datetime import datetime
 from itertools import pairwise
 
 import numpy as np
@@ -48,9 +49,9 @@ def waves(**more):
     return Study(**(parts | {"filter": ETKF(), "members": 12, "cycles": 8, "seed": 1000} | more))
 
 
-def plant(**more):
+def plant(dt=1.0, **more):
     """Return a small twin: six tanks, two drones steered by the belief, an uncertain wind."""
-    options = AdvectionDiffusion.check_options()
+    options = {**AdvectionDiffusion.check_options(), "dt": dt}
     parts = {
         "model": AdvectionDiffusion.from_options(**options),
         "truth": AdvectionDiffusion.from_options(**{**options, "certain": True}),
@@ -210,6 +211,20 @@ def test_a_feed_that_ends_early_ends_the_run_complete(tmp_path):
     summary = rehearsed(waves(), tmp_path / "live", cycles=5)
     assert (summary["status"], summary["cycles"], summary["cycles_wanted"]) == ("complete", 5, 8)
     assert advice_of(tmp_path / "live")[-1]["end"]
+
+
+def test_by_the_walls_clock_vehicles_fly_while_time_passes_and_readings_have_dates(tmp_path):
+    study = plant(dt=0.1, cycles=3, speed=4.0)
+    rehearsed(study, tmp_path / "live", clock="wall", grace=60.0)
+    told = advice_of(tmp_path / "live")
+    zero = json.loads((tmp_path / "live" / "journal.jsonl").read_text().splitlines()[0])["zero"]
+    times = [datetime.fromisoformat(one["date"]).timestamp() - zero for one in told]
+    assert times == pytest.approx([0, 0.1, 0.2, 0.3], abs=1e-5)
+    assert min(one["behind"] for one in told) >= 0.0
+    with dafw.open_run(tmp_path / "live") as run:
+        assert run["observation_use"].max() == 0
+        moved = np.hypot(*(np.diff(run[f"vehicle_{axis}"].values, axis=0) for axis in "xy"))
+        assert moved.max() <= 0.4 + 1e-9
 
 
 def test_a_journal_repeats_its_run(tmp_path):

@@ -144,7 +144,7 @@ class Live(FeedOptions, Readings):
     def _connected_broker(self) -> Broker:
         """Return the link to the broker, which is made once."""
         if self._broker is None:
-            self._broker = Broker(self.mqtt, self.mqtt.topic)
+            self._broker = Broker(self.mqtt, self.mqtt.topic if self.source == MQTT else None)
         return self._broker
 
     @property

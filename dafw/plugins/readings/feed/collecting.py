@@ -63,11 +63,12 @@ def _left(feed: Feed, desk: Desk, grace: float) -> float:
 def _is_over(feed: Feed, desk: Desk, grace: float, left: float, drained: int, patience: Patience) -> bool:
     """Return whether the cycle has its readings.
 
-    By the wall's clock, what came until then is still taken when the time has come, but not more than a cycle may have:
-    so a feed that never pauses cannot hold a cycle up.
+    By the wall's clock, a cycle whose time has come waits no longer than for the message that says that all was sent.
+    What came until the end of the grace is still taken, but not more than a cycle may have: so a feed that never pauses
+    cannot hold a cycle up.
     """
     if has_ended(feed, desk):
         return True
     if patience.wall:
-        return left <= 0.0 and drained >= desk.rules.most
+        return (left <= grace and desk.has_all) or (left <= 0.0 and drained >= desk.rules.most)
     return desk.is_over(grace)

@@ -21,6 +21,8 @@ MOST_SENSORS = 1000
 """Different names of sensors that a run keeps apart."""
 FAR = 1e12
 """Seconds before t = 0, some 30,000 years, that no time can be."""
+STAMP = 2e-6
+"""Seconds by which a date, rounded to microseconds, may be beyond the end of its cycle."""
 WORLD = 1e9
 """Metres from the middle of a site that no place can be."""
 SENSE = 1e30
@@ -73,7 +75,8 @@ class Desk:
     """Takes the entries of one cycle, which ends at ``end`` (s), and changes ``state`` with them."""
 
     def __init__(self, rules: Rules, state: FeedState, end: float, dt: float) -> None:
-        self.rules, self.state, self.end, self.slack = rules, state, end, FORGIVEN * dt
+        self.rules, self.state, self.end = rules, state, end
+        self.slack = max(FORGIVEN * dt, min(STAMP, 0.01 * dt))
         self.due: list[Reading] = []
         self.left_out: Counter[str] = Counter()
         self.notes: list[str] = []
@@ -188,10 +191,14 @@ class Desk:
 
     def is_over(self, grace: float) -> bool:
         """Return whether the feed itself says that the cycle has its readings."""
-        state = self.state
-        return state.latest > self.end + self.slack + grace or state.until >= self.end - self.slack
+        return self.has_all or self.state.latest > self.end + self.slack + grace
+
+    @property
+    def has_all(self) -> bool:
+        """Whether a message said that all readings of the cycle have been sent."""
+        return self.state.until >= self.end - self.slack
 
     @property
     def is_barren(self) -> bool:
         """Whether a feed that has ended has nothing for this cycle or later ones."""
-        return not self.due and not self.state.waiting and self.state.until < self.end - self.slack
+        return not self.due and not self.state.waiting and not self.has_all

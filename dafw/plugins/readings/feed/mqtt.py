@@ -12,6 +12,7 @@ import ssl
 import sys
 import threading
 from collections import deque
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from time import monotonic
@@ -87,18 +88,19 @@ def credentials_of(options: BrokerOptions) -> tuple[str, str | None] | None:
 
 
 class Broker:
-    """A link to a broker that hears one topic; a channel of a feed."""
+    """A link to a broker that hears one topic, or None: it only sends; a channel of a feed."""
 
     offset = 0
     ended = False
 
-    def __init__(self, options: BrokerOptions, topic: str) -> None:
+    def __init__(self, options: BrokerOptions, topic: str | None) -> None:
         self._options, self._topic = options, topic
         self._lines: deque[Line] = deque()
         self._held = self._lost = 0
         self._changed = threading.Condition()
-        self._heard = threading.Event()  # the topic is subscribed
+        self._heard = threading.Event()  # the topic is subscribed, or the link there if there is no topic
         self._refused = ""
+        self._last: Any = None
         self._place = f"{options.host}:{self._port}"
         self._client = self._made()
         self._connect()
@@ -164,7 +166,10 @@ class Broker:
         if reason.is_failure:
             self._refused = str(reason)
             return
-        client.subscribe(self._topic, qos=1)  # anew, because a broker that was started again has forgotten it
+        if self._topic is None:
+            self._heard.set()
+        else:
+            client.subscribe(self._topic, qos=1)  # anew, because a broker that was started again has forgotten it
 
     def _on_subscribe(self, client: Any, data: Any, number: int, reasons: Any, properties: Any) -> None:
         if any(reason.is_failure for reason in reasons):
@@ -213,8 +218,8 @@ class Broker:
 
     def close(self) -> None:
         """Wait shortly until everything is sent, and leave."""
-        last = getattr(self, "_last", None)
-        if last is not None and self._client.is_connected():
-            last.wait_for_publish(timeout=5.0)
+        if self._last is not None and self._client.is_connected():
+            with suppress(RuntimeError, ValueError):  # it was sent while the link was down
+                self._last.wait_for_publish(timeout=5.0)
         self._client.disconnect()
         self._client.loop_stop()
