@@ -32,6 +32,8 @@ OVERHEAD = 200
 """Bytes that a waiting line takes beside its text."""
 FIRST = 10.0
 """Seconds that a run waits at its beginning for the broker, before it goes on and tries in the background."""
+LAST = 60.0
+"""Seconds that are given at the end to what is still to be sent."""
 QUEUED = 100_000
 """Messages to send that wait for a broker that is away."""
 
@@ -217,9 +219,9 @@ class Broker:
         self._last = sent
 
     def close(self) -> None:
-        """Wait shortly until everything is sent, and leave."""
+        """Wait until everything is sent, and leave."""
         if self._last is not None and self._client.is_connected():
             with suppress(RuntimeError, ValueError):  # it was sent while the link was down
-                self._last.wait_for_publish(timeout=5.0)
+                self._last.wait_for_publish(timeout=LAST)
         self._client.disconnect()
         self._client.loop_stop()
