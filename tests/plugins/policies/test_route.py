@@ -124,3 +124,12 @@ def test_a_study_refuses_it_before_anything_is_run():
     study_from({**space, **parts, "policy": {"name": "route", "points": free}}).prepare()
     with pytest.raises(ConfigurationError, match="meets the edge of the domain"):
         study_from({**space, **parts, "policy": {"name": "route", "points": blocked}}).prepare()
+
+
+def test_a_vehicle_that_is_not_where_it_was_sent_hovers_where_its_way_is_blocked():
+    policy, blown = ListedRoute(points=[[0.0, 0.0], [0.0, 30.0]]), Vehicle(np.array([[25.0, 0.0]]), 8.0, airspace=YARD)
+    memory = policy.initial_memory(blown)
+    route = policy.route(None, blown, memory, np.random.default_rng(0))
+    assert route.ends.tolist() == [[25.0, 0.0]] and "its way to the route is blocked" in route.notes[0]
+    free = policy.route(None, blown.moved(np.array([[25.0, 20.0]])), route.memory, np.random.default_rng(0))
+    assert free.notes == () and free.ends.tolist() != [[25.0, 20.0]]
