@@ -1,0 +1,59 @@
+"""Builds the documentation as a website, which needs neither a server nor a network: ``python docs/website/build.py FOLDER``.
+
+The pages are README, CONTRIBUTING, CHANGELOG and those of docs/, as they can be read on a code host. They are copied into
+``FOLDER/source`` with their links changed to where things are in the website; what is made from the code and the notebook
+is added there; Sphinx then writes ``FOLDER/html``. Every warning of Sphinx is an error, and the exit status is then not
+zero.
+"""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from pathlib import Path
+
+import pages
+from notebook import as_markdown
+from plugin_reference import plugin_pages
+from python_reference import python_names
+from sphinx.cmd.build import build_main
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def stage(source: Path) -> None:
+    """Write into the empty folder ``source`` what Sphinx reads."""
+    site = pages.Site(ROOT, source)
+    for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md"):
+        site.add(ROOT / name, pages.TOP[name])
+    for page in sorted((ROOT / "docs").glob("*.md")):
+        site.add(page, pages.TOP.get(f"docs/{page.name}", page.name))
+    shutil.copytree(ROOT / "docs" / "pictures", source / "pictures")
+    notebook = ROOT / "docs" / "post-analysis.ipynb"
+    site.write("post-analysis-notebook.md", as_markdown(notebook, source / "pictures"), notebook)
+    shutil.copy(notebook, source)
+    kinds = plugin_pages()
+    for kind, text in kinds.items():
+        site.write(f"plugins-{kind}.md", text, ROOT / "docs" / "plugin-reference.md")
+    site.append("plugin-reference.md", pages.toctree([f"plugins-{kind}" for kind in kinds], hidden=False))
+    site.append("python-reference.md", python_names())
+    site.append("index.md", site.navigation("contents.md"))
+    site.add_code()
+
+
+def build(folder: Path) -> int:
+    """Build the website anew in a folder; return Sphinx's exit status."""
+    for part in ("source", "html", "doctrees"):
+        shutil.rmtree(folder / part, ignore_errors=True)
+    (folder / "source").mkdir(parents=True)
+    stage(folder / "source")
+    return build_main(
+        ["--fail-on-warning", "--quiet", "--conf-dir", str(Path(__file__).parent)]
+        + ["--doctree-dir", str(folder / "doctrees"), str(folder / "source"), str(folder / "html")]
+    )
+
+
+if __name__ == "__main__":
+    if len(sys.argv) != 2:
+        sys.exit(f"usage: python {sys.argv[0]} FOLDER")
+    sys.exit(build(Path(sys.argv[1]).resolve()))

@@ -1,0 +1,98 @@
+"""The pages of the website: where each of them goes, what their links lead to there, and the navigation."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath
+
+TOP = {
+    "README.md": "index.md",
+    "CONTRIBUTING.md": "contributing.md",
+    "CHANGELOG.md": "changelog.md",
+    "docs/README.md": "contents.md",
+    "docs/post-analysis.ipynb": "post-analysis-notebook.md",
+}
+"""Where pages go that are not simply moved from docs/ to the top."""
+LANGUAGES = {".py": "python", ".yaml": "yaml", ".toml": "toml", ".cff": "yaml", ".sh": "sh"}
+FENCED = re.compile(r"^```.*?^```$", re.MULTILINE | re.DOTALL)
+LINK = re.compile(r"\]\(([^)#\s]+)(#[^)\s]*)?\)")
+TITLED = re.compile(r'^```(\w+) title="([^"\n]+)"$', re.MULTILINE)
+ENTRY = re.compile(r"\[([^\]]+)\]\(([^)]+)\)")
+
+
+def toctree(entries: list[str], *, caption: str = "", hidden: bool = True) -> str:
+    """Return a directive with documents of the website, ``name`` or ``title <name>``."""
+    options = [":hidden:"] if hidden else []
+    options += [f":caption: {caption}"] if caption else []
+    return "\n".join(["", "```{toctree}", *options, "", *entries, "```", ""])
+
+
+@dataclass
+class Site:
+    """The folder that Sphinx reads, made from the repository at ``root``."""
+
+    root: Path
+    source: Path
+    code: set[str] = field(default_factory=set)
+
+    def add(self, page: Path, name: str) -> None:
+        """Copy a page of the repository to the name that it has in the website."""
+        self.write(name, page.read_text(encoding="utf-8"), page)
+
+    def write(self, name: str, text: str, page: Path) -> None:
+        """Write a page; its links are taken to be relative to ``page`` of the repository."""
+        parts, end = [], 0
+        for block in FENCED.finditer(text):
+            parts += [self._linked(text[end : block.start()], page), self._fenced(block.group())]
+            end = block.end()
+        parts.append(self._linked(text[end:], page))
+        (self.source / name).write_text("".join(parts), encoding="utf-8")
+
+    def append(self, name: str, text: str) -> None:
+        """Add to the end of a page what is made for the website alone."""
+        with (self.source / name).open("a", encoding="utf-8") as file:
+            file.write("\n" + text)
+
+    def _fenced(self, block: str) -> str:
+        """Return a block with the name of the file, if it is one, above it."""
+        shown = TITLED.sub(r"```{code-block} \1\n:caption: \2\n", block)
+        return re.sub(r"^```(\{code-block\} )?csv$", r"```{code-block} text", shown, flags=re.MULTILINE)
+
+    def _linked(self, text: str, page: Path) -> str:
+        return LINK.sub(lambda found: f"]({self._target(found[1], page)}{found[2] or ''})", text)
+
+    def _target(self, link: str, page: Path) -> str:
+        """Return where a link of a page leads to in the website; raises FileNotFoundError."""
+        if "://" in link or (self.source / link).is_file():  # the second: what was made for the website
+            return link
+        path = (page.parent / link).resolve(strict=True).relative_to(self.root)
+        if path.as_posix() in TOP:
+            return TOP[path.as_posix()]
+        if path.parts[0] == "docs" and (path.suffix == ".md" or path.parts[1] == "pictures"):
+            return PurePosixPath(*path.parts[1:]).as_posix()
+        self.code.add(path.as_posix())
+        return f"{path.as_posix()}.md"
+
+    def add_code(self) -> None:
+        """Write a page for every file of the repository to which a page has a link."""
+        for path in sorted(self.code):
+            place = self.source / f"{path}.md"
+            place.parent.mkdir(parents=True, exist_ok=True)
+            content = (self.root / path).read_text(encoding="utf-8").rstrip()
+            language = LANGUAGES.get(Path(path).suffix, "text")
+            place.write_text(f"---\norphan: true\n---\n\n# {path}\n\n`````{language}\n{content}\n`````\n", encoding="utf-8")
+
+    def navigation(self, contents: str) -> str:
+        """Return the navigation: a part for every section of the page of contents, with the links of that section."""
+        text = (self.source / contents).read_text(encoding="utf-8")
+        made = toctree([f"Contents <{contents.removesuffix('.md')}>"])
+        for section in text.split("\n## ")[1:]:
+            caption, _, rest = section.partition("\n")
+            entries = []
+            for title, target in ENTRY.findall(rest):
+                entry = f"{title} <{target.removesuffix('.md')}>"
+                if "#" not in target and entry not in entries:
+                    entries.append(entry)
+            made += toctree(entries, caption=caption)
+        return made
