@@ -1,4 +1,4 @@
-"""The documentation as a website: it is built once, without a warning, and needs no network; the notebook; the gallery."""
+"""The documentation as a website, built once, without a warning, and without a network; the notebook; the gallery."""
 
 from __future__ import annotations
 
@@ -122,7 +122,7 @@ def test_formulas_are_drawn_or_refused():
         ("../CONTRIBUTING.md", "contributing.md"),
         ("post-analysis.ipynb", "post-analysis-notebook.md"),
         ("pictures/report.png", "pictures/report.png"),
-        ("../dafw/core/space.py", "dafw/core/space.py.md"),
+        ("../dafw/core/space.py", "code/dafw/core/space.py.txt"),
         ("https://doi.org/10.1002/qj.2236", "https://doi.org/10.1002/qj.2236"),
     ],
 )
@@ -130,8 +130,10 @@ def test_links_lead_to_the_same_in_the_website(link, leads_to, tmp_path):
     from pages import Site
 
     site = Site(ROOT, tmp_path)
-    site.write("page.md", f"[a]({link})\n\n```sh\n[a]({link})\n```\n", ROOT / "docs" / "page.md")
-    assert (tmp_path / "page.md").read_text() == f"[a]({leads_to})\n\n```sh\n[a]({link})\n```\n"
+    block = f"\n\n```sh\n[a]({link})\n```\n"
+    site.write("page.md", f"[a]({link}) [{link}]({link}){block}", ROOT / "docs" / "page.md")
+    named = "" if leads_to.endswith(".md") else link  # of a page, the title
+    assert (tmp_path / "page.md").read_text() == f"[a]({leads_to}) [{named}]({leads_to}){block}"
 
 
 def test_a_link_to_nothing_is_an_error(tmp_path):

@@ -1,9 +1,10 @@
-"""Builds the documentation as a website, which needs neither a server nor a network: ``python docs/website/build.py FOLDER``.
+"""Builds the documentation as a website, which needs neither a server nor a network.
 
-The pages are README, CONTRIBUTING, CHANGELOG and those of docs/, as they can be read on a code host. They are copied into
-``FOLDER/source`` with their links changed to where things are in the website; what is made from the code and the notebook
-is added there; Sphinx then writes ``FOLDER/html``. Every warning of Sphinx is an error, and the exit status is then not
-zero.
+    python docs/website/build.py FOLDER
+
+The pages are README, CONTRIBUTING, CHANGELOG and those of docs/, as they can be read on a code host. They are copied
+into ``FOLDER/source`` with their links changed to where things are in the website. What is made from the code and the
+notebook is added there. Sphinx then writes ``FOLDER/html``; a warning gives an exit status that is not zero.
 """
 
 from __future__ import annotations
@@ -38,7 +39,6 @@ def stage(source: Path) -> None:
     site.append("plugin-reference.md", pages.toctree([f"plugins-{kind}" for kind in kinds], hidden=False))
     site.append("python-reference.md", python_names())
     site.append("index.md", site.navigation("contents.md"))
-    site.add_code()
 
 
 def build(folder: Path) -> int:
@@ -47,10 +47,9 @@ def build(folder: Path) -> int:
         shutil.rmtree(folder / part, ignore_errors=True)
     (folder / "source").mkdir(parents=True)
     stage(folder / "source")
-    return build_main(
-        ["--fail-on-warning", "--quiet", "--conf-dir", str(Path(__file__).parent)]
-        + ["--doctree-dir", str(folder / "doctrees"), str(folder / "source"), str(folder / "html")]
-    )
+    options = ["--fail-on-warning", "--quiet", "--conf-dir", str(Path(__file__).parent)]
+    folders = ["--doctree-dir", str(folder / "doctrees"), str(folder / "source"), str(folder / "html")]
+    return build_main([*options, *folders])
 
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ NOTEBOOK = Path(__file__).resolve().parents[1] / "post-analysis.ipynb"
 
 
 def executed(notebook: dict[str, Any]) -> dict[str, Any]:
-    """Return a notebook with the outputs that its cells have now, run in the present folder; raises what a cell raises."""
+    """Return a notebook with the outputs of its cells, run in the present folder; raises what a cell raises."""
     from matplotlib import pyplot
 
     pyplot.close("all")

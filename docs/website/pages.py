@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
+import shutil
+from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 TOP = {
@@ -14,9 +15,8 @@ TOP = {
     "docs/post-analysis.ipynb": "post-analysis-notebook.md",
 }
 """Where pages go that are not simply moved from docs/ to the top."""
-LANGUAGES = {".py": "python", ".yaml": "yaml", ".toml": "toml", ".cff": "yaml", ".sh": "sh"}
 FENCED = re.compile(r"^```.*?^```$", re.MULTILINE | re.DOTALL)
-LINK = re.compile(r"\]\(([^)#\s]+)(#[^)\s]*)?\)")
+LINK = re.compile(r"\[([^\]]*)\]\(([^)#\s]+)(#[^)\s]*)?\)")
 TITLED = re.compile(r'^```(\w+) title="([^"\n]+)"$', re.MULTILINE)
 ENTRY = re.compile(r"\[([^\]]+)\]\(([^)]+)\)")
 
@@ -34,7 +34,6 @@ class Site:
 
     root: Path
     source: Path
-    code: set[str] = field(default_factory=set)
 
     def add(self, page: Path, name: str) -> None:
         """Copy a page of the repository to the name that it has in the website."""
@@ -60,7 +59,12 @@ class Site:
         return re.sub(r"^```(\{code-block\} )?csv$", r"```{code-block} text", shown, flags=re.MULTILINE)
 
     def _linked(self, text: str, page: Path) -> str:
-        return LINK.sub(lambda found: f"]({self._target(found[1], page)}{found[2] or ''})", text)
+        return LINK.sub(lambda found: self._link(found[1], found[2], found[3] or "", page), text)
+
+    def _link(self, text: str, link: str, anchor: str, page: Path) -> str:
+        """Return a link; where its text is the name of the page, the website shows the title instead."""
+        target = self._target(link, page)
+        return f"[{'' if text == link and target.endswith('.md') else text}]({target}{anchor})"
 
     def _target(self, link: str, page: Path) -> str:
         """Return where a link of a page leads to in the website; raises FileNotFoundError."""
@@ -71,17 +75,10 @@ class Site:
             return TOP[path.as_posix()]
         if path.parts[0] == "docs" and (path.suffix == ".md" or path.parts[1] == "pictures"):
             return PurePosixPath(*path.parts[1:]).as_posix()
-        self.code.add(path.as_posix())
-        return f"{path.as_posix()}.md"
-
-    def add_code(self) -> None:
-        """Write a page for every file of the repository to which a page has a link."""
-        for path in sorted(self.code):
-            place = self.source / f"{path}.md"
-            place.parent.mkdir(parents=True, exist_ok=True)
-            content = (self.root / path).read_text(encoding="utf-8").rstrip()
-            language = LANGUAGES.get(Path(path).suffix, "text")
-            place.write_text(f"---\norphan: true\n---\n\n# {path}\n\n`````{language}\n{content}\n`````\n", encoding="utf-8")
+        copied = self.source / "code" / f"{path.as_posix()}.txt"  # a browser shows it, instead of storing it
+        copied.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(self.root / path, copied)
+        return copied.relative_to(self.source).as_posix()
 
     def navigation(self, contents: str) -> str:
         """Return the navigation: a part for every section of the page of contents, with the links of that section."""

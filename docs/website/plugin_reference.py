@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 from dafw.core.options import REQUIRED, Described
 from dafw.core.registry import KINDS, registry
@@ -28,22 +29,23 @@ def plugin_pages() -> dict[str, str]:
                 module = plugin.spec.target.partition(":")[0].replace(".", "/")
                 summary = f"{plugin.spec.summary[:1].upper()}{plugin.spec.summary[1:]}."
                 parts.append(f"## {plugin.spec.name}\n\n{summary} Code: [{module}.py](../{module}.py).")
-                parts.append(table(known.options(kind, plugin.spec.name)))
+                parts.append(listed(known.options(kind, plugin.spec.name)))
         pages[kind] = "\n\n".join(parts) + "\n"
     return pages
 
 
-def table(options: list[Described]) -> str:
-    """Return options as a table."""
+def listed(options: list[Described]) -> str:
+    """Return options as a list of definitions."""
     if not options:
         return "It has no options."
-    rows = [("option", "type", "default", "accepted", "meaning"), ("---",) * 5]
+    entries = []
     for one in options:
-        default = "must be given" if one.default is REQUIRED else f"`{json.dumps(one.default)}`"
-        rows.append((f"`{one.name}`", f"`{one.type}`", default, one.accepted, one.help))
-    return "\n".join("| " + " | ".join(cell(text) for text in row) + " |" for row in rows)
+        default = "must be given" if one.default is REQUIRED else f"default `{json.dumps(one.default)}`"
+        facts = ", ".join(filter(None, [f"`{one.type}`", one.accepted, default]))
+        entries.append(f"**`{one.name}`** {facts}\n: {escaped(one.help)}")
+    return "\n\n".join(entries)
 
 
-def cell(text: str) -> str:
-    """Return a text as it must stand in a table."""
-    return text.replace("|", "\\|").replace("<", "\\<") if not text.startswith("`") else text.replace("|", "\\|")
+def escaped(text: str) -> str:
+    """Return a text whose characters mean nothing but themselves in Markdown."""
+    return re.sub(r"([\\`*_{}\[\]<>$|])", r"\\\1", text)

@@ -8,7 +8,9 @@ import dafw
 import dafw.testing
 
 GROUPS = {
-    "Run and open studies": "run Study advance Cycle Parts State ForecastPlan forecast_scores open_run open_sweep open_forecasts",
+    "Run and open studies": (
+        "run Study advance Cycle Parts State ForecastPlan forecast_scores open_run open_sweep open_forecasts"
+    ),
     "The kinds of plugins": "Model Observer Policy Filter Readings Executor PluginSpec hookimpl option REQUIRED",
     "States": "StateSpace Variable FIELD NONNEGATIVE POSITIVE ANGLE Domain",
     "What plugins are given and return": (
