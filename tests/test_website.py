@@ -103,6 +103,7 @@ def test_the_first_screen(website, browser, width):
     context.close()
 
 
+@pytest.mark.filterwarnings("ignore:path is deprecated:DeprecationWarning")  # of importlib.resources in 3.12 alone
 def test_formulas_are_drawn_or_refused():
     from formulas import drawn
 

@@ -16,6 +16,7 @@ copyright = "the authors of dafw"
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "formulas"]
 html_math_renderer = "svg"
 highlight_language = "none"
+smartquotes = False  # texts as they are written
 
 myst_enable_extensions = ["deflist", "dollarmath"]
 myst_heading_anchors = 4  # the same as on code hosts
