@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+from importlib import import_module
 
 import dafw
 import dafw.testing
@@ -24,17 +25,17 @@ GROUPS = {
         "DivergenceError RunError"
     ),
 }
-"""Every public name of ``dafw``, by subject."""
+"""The public names of ``dafw``, by subject."""
 
 
 def python_names() -> str:
-    """Return the reference in Markdown; raises ValueError if a public name is in no group, or in two."""
-    named = [name for group in GROUPS.values() for name in group.split()]
-    if sorted(named) != sorted(dafw.__all__):
-        raise ValueError(f"the groups of names are not those of dafw.__all__: {set(named) ^ set(dafw.__all__)}")
+    """Return the reference in Markdown; a public name that is in no group comes last."""
+    named = {name for group in GROUPS.values() for name in group.split()}
+    groups = GROUPS | {"More": " ".join(name for name in dafw.__all__ if name not in named)}
     parts = []
-    for title, group in GROUPS.items():
-        parts += [f"## {title}", directives("dafw", group.split())]
+    for title, group in groups.items():
+        if group:
+            parts += [f"## {title}", directives("dafw", group.split())]
         if "open_run" in group:
             parts += ["## What a dataset can do: `.dafw`", directives("dafw.core.accessor", ["RunAccessor"])]
     parts += ["## The checks: `dafw.testing`", directives("dafw.testing", dafw.testing.__all__)]
@@ -45,7 +46,7 @@ def directives(module: str, names: list[str]) -> str:
     """Return the directives that document names of a module."""
     made = []
     for name in names:
-        value = getattr(__import__(module, fromlist=[name]), name)
+        value = getattr(import_module(module), name)
         kind = "class" if inspect.isclass(value) else "function" if inspect.isroutine(value) else "data"
         kind = "exception" if inspect.isclass(value) and issubclass(value, Exception) else kind
         if isinstance(value, dict):  # its docstring would be that of all dicts
