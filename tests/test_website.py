@@ -115,6 +115,8 @@ def test_formulas_are_drawn_or_refused():
     assert "vertical-align" in drawn("x_i", inline=True)
     with pytest.raises(ValueError, match=r"not known: \\unheardof"):
         drawn(r"\unheardof", inline=True)
+    with pytest.raises(ValueError, match=r"cannot be read .*: \\frac\{1"):
+        drawn(r"\frac{1", inline=True)
 
 
 @pytest.mark.parametrize(
