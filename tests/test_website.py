@@ -142,6 +142,15 @@ def test_links_lead_to_the_same_in_the_website(link, leads_to, tmp_path):
     assert (tmp_path / "page.md").read_text() == f"[a]({leads_to}) [{named}]({leads_to}){block}"
 
 
+def test_a_folder_with_something_else_in_it_is_left_alone(tmp_path):
+    from build import build
+
+    (tmp_path / "source").mkdir()
+    with pytest.raises(FileExistsError, match="neither empty nor a website"):
+        build(tmp_path)
+    assert (tmp_path / "source").is_dir()
+
+
 def test_a_link_to_nothing_is_an_error(tmp_path):
     from pages import Site
 

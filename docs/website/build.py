@@ -20,6 +20,8 @@ from python_reference import python_names
 from sphinx.cmd.build import build_main
 
 ROOT = Path(__file__).resolve().parents[2]
+MARK = ".website"
+"""File in a folder that says that it may be emptied, because it was made here."""
 
 
 def stage(source: Path) -> None:
@@ -33,6 +35,7 @@ def stage(source: Path) -> None:
     notebook = ROOT / "docs" / "post-analysis.ipynb"
     site.write("post-analysis-notebook.md", as_markdown(notebook, source / "pictures"), notebook)
     shutil.copy(notebook, source)
+    site.append("post-analysis-notebook.md", "The notebook itself: [post-analysis.ipynb](post-analysis.ipynb).\n")
     kinds = plugin_pages()
     for kind, text in kinds.items():
         site.write(f"plugins-{kind}.md", text, ROOT / "docs" / "plugin-reference.md")
@@ -42,10 +45,16 @@ def stage(source: Path) -> None:
 
 
 def build(folder: Path) -> int:
-    """Build the website anew in a folder; return Sphinx's exit status."""
-    for part in ("source", "html", "doctrees"):
-        shutil.rmtree(folder / part, ignore_errors=True)
+    """Build the website anew in a folder; return Sphinx's exit status.
+
+    Raises FileExistsError if there is something else in the folder.
+    """
+    if folder.exists():
+        if any(folder.iterdir()) and not (folder / MARK).exists():
+            raise FileExistsError(f"{folder} is neither empty nor a website that was built here before")
+        shutil.rmtree(folder)
     (folder / "source").mkdir(parents=True)
+    (folder / MARK).touch()
     stage(folder / "source")
     options = ["--fail-on-warning", "--quiet", "--conf-dir", str(Path(__file__).parent)]
     folders = ["--doctree-dir", str(folder / "doctrees"), str(folder / "source"), str(folder / "html")]
@@ -55,4 +64,7 @@ def build(folder: Path) -> int:
 if __name__ == "__main__":
     if len(sys.argv) != 2:
         sys.exit(f"usage: python {sys.argv[0]} FOLDER")
-    sys.exit(build(Path(sys.argv[1]).resolve()))
+    try:
+        sys.exit(build(Path(sys.argv[1]).resolve()))
+    except (FileExistsError, NotADirectoryError) as error:
+        sys.exit(f"{sys.argv[0]}: {error}")
