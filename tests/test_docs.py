@@ -77,6 +77,8 @@ REDUCED = {
         f"dafw study leak {COARSE} {BASIS} members=4 --seeds 0 --configurations place_known",
         "one run with some 300 nodes, four members, one cycle, a basis of four winds",
     ),
+    r"^dafw study mine .*$": (rf"\g<0> {COARSE} {BASIS} --seeds 0", "one seed, and as above"),
+    r"^dafw run .*experiment=mine .*$": (rf"\g<0> {COARSE} {BASIS}", "a coarse mesh, three members, one cycle"),
     r"^dafw study forecast$": (
         f"dafw study forecast {COARSE} {BASIS} {AHEAD} --seeds 600 --configurations drawn",
         "one run with some 300 nodes, three members, one cycle, one forecast of two seconds",
@@ -133,6 +135,7 @@ REDUCED = {
 
 OMITTED = {
     r"^dafw simulate .* &$": "needs a broker, which tests/plugins/readings/test_live_mqtt.py has",
+    r"^uv build |^pip install dist/": "tests/fresh.py does this without a registry",
     r"^uv pip compile ": "asks a package registry, and would write the lock file",
     r"l96\.etkf_over_dapper": "downloads DAPPER into an environment of its own",
     r"esmda\.difference_from_pyesmda": "downloads pyESMDA into an environment of its own",
@@ -200,10 +203,10 @@ def variables(tmp_path_factory):
 def try_page(page: Path, folder: Path, variables: dict[str, str]) -> int:
     """Run the blocks of a page in an empty folder; return how many commands and programs there were.
 
-    The commands of the README are processes of their own, as a user's are; those of other pages are copies of one that
-    has imported the libraries (prepared.py).
+    They are copies of a process that has imported the libraries (prepared.py); tests/test_acme.py and tests/commands
+    start processes of their own, as users do.
     """
-    programs = None if page == ROOT / "README.md" else prepared()
+    programs = prepared()
     printed, count, literal = "", 0, True
     for number, block in enumerate(blocks(page)):
         place = f"{page.relative_to(ROOT)}, line {block.line}"
