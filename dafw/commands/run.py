@@ -21,7 +21,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from dafw.commands import said, status_of
-from dafw.core.composition import advised, compose, explained, single_runs, study_hydra, study_part
+from dafw.core.composition import advised, compose, explained, quoted_override, single_runs, study_hydra, study_part
 from dafw.core.errors import ComputationError, ConfigurationError
 from dafw.core.experiment import study_from
 from dafw.core.study import Study
@@ -147,7 +147,7 @@ def _launch(
         if sweep is None:
             hydra.run(name, job, [*overrides, "hydra.mode=RUN"])
         else:
-            hydra.multirun(name, job, [*overrides, _override("hydra.sweep.dir", sweep), "hydra.mode=MULTIRUN"])
+            hydra.multirun(name, job, [*overrides, quoted_override("hydra.sweep.dir", str(sweep)), "hydra.mode=MULTIRUN"])
     except HydraException as error:
         raise explained(error) from error
     except Exception as error:
@@ -164,12 +164,6 @@ def _launch(
             statuses.append(1)
         print(sweep)
     return max(statuses, default=0)
-
-
-def _override(key: str, value: Path) -> str:
-    """Return an override in Hydra's grammar, quoted."""
-    quoted = str(value).replace("\\", "\\\\").replace("'", "\\'")
-    return f"{key}='{quoted}'"
 
 
 def _run_job(config: DictConfig, folder: Path, communicator: Any) -> int:

@@ -120,6 +120,28 @@ def single_runs(overrides: Sequence[str]) -> Iterator[list[str]]:
     yield from (list(job) for job in product(*choices))
 
 
+def quoted_override(key: str, value: str) -> str:
+    """Return an override that sets an option to a text, quoted if need be in Hydra's grammar.
+
+    Raises ConfigurationError if that grammar cannot say it.
+
+    >>> quoted_override("model.site.file", "my site.geojson")
+    "model.site.file='my site.geojson'"
+    """
+    if re.fullmatch(r"[A-Za-z_./][\w./-]*", value) and value.lower() not in ("null", "true", "false", "nan", "inf"):
+        return f"{key}={value}"
+    # A backslash stands for itself, except before a quote.
+    quoted = re.sub(r"(\\*)('|\Z)", lambda end: 2 * end[1] + (r"\'" if end[2] else ""), value)
+    override = f"{key}='{quoted}'"
+    try:
+        said = OverridesParser.create().parse_override(override).value()
+    except HydraException:
+        said = None
+    if str(said) != value or "${" in value:
+        raise ConfigurationError(f"{key}: Hydra's grammar cannot say {value!r}; give it another name")
+    return override
+
+
 def refuse_code(config: DictConfig) -> None:
     """Raise ConfigurationError if the configuration would make Hydra or logging call something by its dotted name."""
     container = OmegaConf.to_container(config, resolve=False)

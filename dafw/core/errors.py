@@ -65,6 +65,10 @@ class RecordError(ComputationError):
     """The record of a run can no longer be written, for example because the disk is full."""
 
 
+class FetchError(ComputationError):
+    """A server did not give what it was asked for."""
+
+
 class SolverError(ComputationError):
     """A solver did not reach its tolerance; its result must not be used."""
 

@@ -188,7 +188,7 @@ class Study:
         if self.forecast.every is not None:
             self.forecast.suit(model.dt)
             places_of(self.forecast, model.space.variables[0], model.domain)
-        self._require_memory()
+        require_memory(self.wanted_memory())
         parts = Parts(
             model=model,
             truth=self.truth,
@@ -219,8 +219,8 @@ class Study:
                 raise ConfigurationError(f"the section's corner {corner} lies outside the domain {domain.bounds}")
         return Vehicle(positions, self.speed, self.model.dt, domain)
 
-    def _require_memory(self) -> None:
-        """Raise ConfigurationError if the ensemble and the past that the filter looks back to do not fit in memory."""
+    def wanted_memory(self) -> dict[str, float]:
+        """Return the bytes that the ensemble and the past that the filter looks back to need, keyed by their purpose."""
         state = 8.0 * self.members * self.model.space.size
         window = self.cycles if self.filter.window is None else self.filter.window
         beliefs = window if self.filter.past_beliefs == "all" or self.filter.window is not None else 1
@@ -231,7 +231,7 @@ class Study:
             wanted[f"{beliefs} past beliefs that {self.filter.label} looks back to"] = beliefs * state
         if self.forecast.every is not None:
             wanted["forecasts of all members"] = state * arrays_of(self.forecast)
-        require_memory(wanted)
+        return wanted
 
     def begin(self) -> tuple[Parts, State]:
         """Build the parts, start the executor and draw the first belief.
