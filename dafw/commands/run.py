@@ -145,7 +145,7 @@ def _launch(
 
     try:
         if sweep is None:
-            hydra.run(name, job, [*overrides, "hydra.mode=RUN"])
+            hydra.run(name, job, overrides)  # the words that were checked, so that they are not composed again
         else:
             hydra.multirun(name, job, [*overrides, quoted_override("hydra.sweep.dir", str(sweep)), "hydra.mode=MULTIRUN"])
     except HydraException as error:

@@ -47,15 +47,19 @@ def config_folder() -> Path:
 
 
 def register_schemas() -> None:
-    """Tell Hydra about the study and every plugin that can be imported."""
+    """Tell Hydra about the study and every plugin that can be imported, unless its store, one a process, has them."""
     store = ConfigStore.instance()
-    store.store(name="study", node=schema(StudyOptions))
+    if "study.yaml" not in store.repo:
+        store.store(name="study", node=schema(StudyOptions))
     for registered in registry().plugins():
+        kind, name = registered.spec.kind, registered.spec.name
+        if f"{name}.yaml" in store.repo.get(kind, {}):
+            continue
         try:
-            node = _node(registered.spec.kind, registered.spec.name)
+            node = _node(kind, name)
         except PluginError:
             continue  # asked for by name, the registry says why it is missing
-        store.store(group=registered.spec.kind, name=registered.spec.name, node=node, provider=registered.package)
+        store.store(group=kind, name=name, node=node, provider=registered.package)
 
 
 def _node(kind: str, name: str) -> Any:
