@@ -1,6 +1,6 @@
 """An Overpass server for tests, on this machine alone; it also misbehaves, as real ones and what stands before them do.
 
-    python tests/overpass.py [PORT]    serve until Ctrl-C, and print the address
+python tests/overpass.py [PORT]    serve until Ctrl-C, and print the address
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ import numpy as np
 
 PLANT = Path(__file__).parents[1] / "dafw" / "plugins" / "models" / "dispersion" / "site" / "plant.geojson"
 BUSY_PAGE = b"""<?xml version="1.0"?><html><head><title>OSM3S Response</title></head><body>
-<p><strong style="color:#FF0000">Error</strong>: runtime error: The server is probably too busy to handle your request.</p>
+<p><strong style="color:#FF0000">Error</strong>: runtime error: The server is probably too busy to handle
+your request.</p>
 </body></html>"""
 
 
@@ -55,7 +56,7 @@ def plant_around(query: str) -> list:
         if shape["type"] == "Polygon" and ("building" in tags or "man_made" in tags):
             ring = np.array(shape["coordinates"][0])[:-1, :2] - [8.0, 50.0]
             ring[:, 0] *= np.cos(np.radians(50.0)) / np.cos(np.radians((south + north) / 2))
-            places = ring + [(west + east) / 2, (south + north) / 2]
+            places = ring + np.array([(west + east) / 2, (south + north) / 2])
             if ((places > [west, south]) & (places < [east, north])).all(axis=1).any():
                 elements.append(way(number, np.round(places, 7).tolist(), **{k: str(v) for k, v in tags.items()}))
     return elements

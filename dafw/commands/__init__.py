@@ -39,7 +39,7 @@ usage: dafw COMMAND [...]
   report RUN|SWEEP|STUDY ... [-o FILE]     write a page in one file that plays a run, or compares many, in a browser
   watch RUN [--port N]                     serve that page on this machine while the run goes on, and follow it
   readings FILE|RUN [options] [--to FILE]  say how a file of readings would be read; write it, or a run's, anew; draw it
-  site fetch ... | site preview FILE ...   get a site's buildings from OpenStreetMap; look at a site, and place the release
+  site fetch ... | site preview FILE ...   get buildings from OpenStreetMap; look at a site, place release and drone
   check NAME [NAME ...] | --all            hold plugins to what their interface promises
   new-plugin KIND NAME DIR                 write a package with a plugin to start from, and its test
   doctor [--json]                          say what this machine lacks, and the command that installs it

@@ -147,7 +147,9 @@ def _launch(
         if sweep is None:
             hydra.run(name, job, overrides)  # the words that were checked, so that they are not composed again
         else:
-            hydra.multirun(name, job, [*overrides, quoted_override("hydra.sweep.dir", str(sweep)), "hydra.mode=MULTIRUN"])
+            hydra.multirun(
+                name, job, [*overrides, quoted_override("hydra.sweep.dir", str(sweep)), "hydra.mode=MULTIRUN"]
+            )
     except HydraException as error:
         raise explained(error) from error
     except Exception as error:

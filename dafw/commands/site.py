@@ -41,9 +41,13 @@ def fetch_command(words: Sequence[str]) -> int:
         metavar="LAT,LON,RADIUS",
         help="a square whose sides are RADIUS metres from a place in degrees, as maps name it: latitude first",
     )
-    parser.add_argument("-o", "--out", type=Path, default=Path("site.geojson"), metavar="FILE", help="default: %(default)s")
+    parser.add_argument(
+        "-o", "--out", type=Path, default=Path("site.geojson"), metavar="FILE", help="default: %(default)s"
+    )
     parser.add_argument("--force", action="store_true", help="overwrite the file if there is one")
-    parser.add_argument("--server", metavar="URL", help=f"the Overpass server; default: {SERVER}, or else the public one")
+    parser.add_argument(
+        "--server", metavar="URL", help=f"the Overpass server; default: {SERVER}, or else the public one"
+    )
     parser.add_argument(
         "--timeout", type=float, default=60.0, metavar="S", help="seconds for one of up to four tries; default: 60"
     )
@@ -99,7 +103,9 @@ def preview_command(words: Sequence[str]) -> int:
     )
     parser.add_argument("file", metavar="FILE", help="a GeoJSON file, or 'plant' for the site that ships with dafw")
     parser.add_argument("overrides", nargs="*", metavar="OVERRIDE", help="as for dafw run, such as experiment=leak")
-    parser.add_argument("-o", "--out", type=Path, metavar="FILE.png", help="the picture; default: NAME_preview.png here")
+    parser.add_argument(
+        "-o", "--out", type=Path, metavar="FILE.png", help="the picture; default: NAME_preview.png here"
+    )
     parser.add_argument(
         "--serve",
         action="store_true",
@@ -128,6 +134,8 @@ def preview_command(words: Sequence[str]) -> int:
         print(preview.about(name, place))
         if instead != place:
             print(f"  free ground near it: {preview.about(name, instead)}")
+    for name, place in preview.further:
+        print(preview.about(name, place))
     from dafw.views.files import save
     from dafw.views.site_picture import plot_site
 

@@ -220,7 +220,7 @@ class Study:
         return Vehicle(positions, self.speed, self.model.dt, domain)
 
     def wanted_memory(self) -> dict[str, float]:
-        """Return the bytes that the ensemble and the past that the filter looks back to need, keyed by their purpose."""
+        """Return the bytes that the ensemble and the past that the filter looks back to need, by their purpose."""
         state = 8.0 * self.members * self.model.space.size
         window = self.cycles if self.filter.window is None else self.filter.window
         beliefs = window if self.filter.past_beliefs == "all" or self.filter.window is not None else 1

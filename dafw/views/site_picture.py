@@ -20,7 +20,13 @@ ADDED, REMOVED, CROSSING = "#E69F00", "#0072B2", "#D55E00"
 MESH = "#B4BAC4"
 LIMITS: dict[str, Any] = {"fill": False, "linewidth": 1.2, "edgecolor": "black"}
 RIM: dict[str, Any] = {"fill": False, "linewidth": 0.8, "edgecolor": "0.35", "linestyle": (0, (4, 3))}
-REFUSED: dict[str, Any] = {"marker": "X", "color": "#D55E00", "markeredgecolor": "white", "markersize": 13, "linestyle": "none"}
+REFUSED: dict[str, Any] = {
+    "marker": "X",
+    "color": "#D55E00",
+    "markeredgecolor": "white",
+    "markersize": 13,
+    "linestyle": "none",
+}
 
 
 def plot_site(preview: Preview) -> Figure:
@@ -55,15 +61,23 @@ def plot_site(preview: Preview) -> Figure:
     outside_legend(figure, handles, "lower")
     if preview.attribution:
         axes.annotate(
-            preview.attribution, (0.995, 0.005), xycoords="axes fraction", ha="right", va="bottom", fontsize=6.5,
-            parse_math=False, path_effects=HALO, zorder=6,
+            preview.attribution,
+            (0.995, 0.005),
+            xycoords="axes fraction",
+            ha="right",
+            va="bottom",
+            fontsize=6.5,
+            parse_math=False,
+            path_effects=HALO,
+            zorder=6,
         )
     return figure
 
 
 def _draw_changes(axes: Axes, preview: Preview) -> list[Any]:
     """Draw what was added to the footprints of the file, what was removed, and which were repaired."""
-    changes, handles = preview.changes, []
+    changes = preview.changes
+    handles: list[Any] = []
     for area, colour, label in (
         (changes.added, ADDED, "filled: holes, yards, gaps"),
         (changes.removed, REMOVED, "left out: rim, too small, too thin"),
@@ -84,9 +98,12 @@ def _draw_changes(axes: Axes, preview: Preview) -> list[Any]:
 def _draw_places(axes: Axes, preview: Preview) -> list[Any]:
     """Draw the sources with the radius of their cloud, and the drones; a cross where they cannot be."""
     places, handles = preview.places, []
-    refused = [at for _, at in preview.named(places) if preview.ground.problem(at)]
+    placed = [*preview.named(places), *preview.further]
+    refused = [at for _, at in placed if preview.ground.problem(at)]
     axes.add_patch(Circle(places.release, preview.model.release_radius, color=RELEASE["color"], alpha=0.45, zorder=3))
     handles += axes.plot(*places.release, **RELEASE | {"markersize": 8}, zorder=4, label="release, with its radius")
+    for _, place in preview.further:
+        axes.plot(*place, **RELEASE | {"markersize": 6}, zorder=4)
     for drone in places.drones:
         line = axes.plot(*drone, **START, markeredgecolor=BELIEF_COLOUR, zorder=4)
     if places.drones:
@@ -106,18 +123,14 @@ def _into(preview: Preview, place: Point) -> Point:
 
 def _draw_winds(axes: Axes, preview: Preview) -> list[Any]:
     """Draw where the winds of belief and truth blow to, in the upper left corner."""
-    study, handles = preview.study, []
-    x_min, y_min, x_max, y_max = preview.site.bounds
+    x_min, _, x_max, y_max = preview.site.bounds
     length = 0.05 * (x_max - x_min)
+    handles: list[Any] = []
     corner = np.array([x_min + 1.6 * length, y_max - 1.6 * length])
-    for label, model, colour in (("truth", study.truth, TRUTH_COLOUR), ("first guess", study.model, BELIEF_COLOUR)):
-        if model is None:
-            continue
-        speed, angle = float(model.wind_speed), float(model.wind_direction)  # type: ignore[attr-defined]
+    for role, words, speed, angle in preview.winds:
+        colour = TRUTH_COLOUR if role == "truth" else BELIEF_COLOUR
         along = length * np.array([np.cos(angle), np.sin(angle)])
-        axes.annotate(
-            "", corner + along, corner - along, arrowprops={"arrowstyle": "-|>", "color": colour, "linewidth": 2.2}, zorder=6
-        )
-        handles.append(Line2D([], [], color=colour, linewidth=2.2, label=f"wind, {label}: {speed:g} m/s"))
+        arrow = {"arrowstyle": "-|>", "color": colour, "linewidth": 2.2}
+        axes.annotate("", tuple(corner + along), tuple(corner - along), arrowprops=arrow, zorder=6)
+        handles.append(Line2D([], [], color=colour, linewidth=2.2, label=f"wind, {words}: {speed:g} m/s"))
     return handles
-

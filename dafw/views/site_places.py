@@ -95,7 +95,18 @@ def command_of(file: str, overrides: Sequence[str], composed: Mapping[str, Any],
     if composed.get("section") and file != "plant" and not any(_key(word) == "section" for word in overrides):
         set_here["section"] = "section=[]"  # that of the study is drawn for another site
     given = [word for word in overrides if _key(word) not in set_here]
-    return shlex.join(["dafw", "run", *given, *set_here.values()])
+    return " ".join(map(shell_quoted, ["dafw", "run", *given, *set_here.values()]))
+
+
+def shell_quoted(word: str) -> str:
+    """Return a word as a shell takes it.
+
+    >>> print(shell_quoted("file='my site.geojson'"), shell_quoted("release=[1,2]"), shell_quoted("seed=1"))
+    "file='my site.geojson'" 'release=[1,2]' seed=1
+    """
+    if "'" in word and not re.search(r'["$`\\!]', word):
+        return f'"{word}"'  # shlex would escape every single quote
+    return shlex.quote(word)
 
 
 def _settings(composed: Mapping[str, Any], places: Places) -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""What a study is about to do on a site: buildings, mesh, release and drones, known before anything long is computed."""
+"""What a study is about to do on a site: buildings, mesh, release and drones, before anything long is computed."""
 
 from __future__ import annotations
 
@@ -14,9 +14,11 @@ from dafw.core.errors import ConfigurationError
 from dafw.core.experiment import study_from
 from dafw.core.study import Study
 from dafw.plugins.models.dispersion.model import AdvectionDiffusion
+from dafw.plugins.models.dispersion.reduced_wind.expected import bytes_of_process, seconds_of_basis
 from dafw.plugins.models.dispersion.site.changes import Changes, changes_of
 from dafw.plugins.models.dispersion.site.fetch import attribution_of
 from dafw.plugins.models.dispersion.site.site import Site, file_of
+from dafw.plugins.models.dispersion.sources import sources
 from dafw.views.site_places import DRONE_CLEARANCE, Ground, Places, Point, command_of
 
 
@@ -61,10 +63,15 @@ class Preview:
         return variable.coordinates, variable.triangles
 
     @property
+    def _released(self) -> AdvectionDiffusion:
+        """The model whose gas is really there: the truth, or where there is none that of the belief."""
+        truth = self.study.truth
+        return truth if isinstance(truth, AdvectionDiffusion) else self.model
+
+    @property
     def places(self) -> Places:
         """Where the study puts the release, that of its truth if it has one, and the drones."""
-        release = (self.study.truth or self.study.model).release  # type: ignore[attr-defined]  # of the same kind
-        return Places(_point(release), tuple(_point(start) for start in self.study.start))
+        return Places(_point(self._released.release), tuple(_point(start) for start in self.study.start))
 
     @property
     def free_places(self) -> Places:
@@ -72,6 +79,22 @@ class Preview:
         configured, ground = self.places, self.ground
         release = ground.free_near(configured.release, self.model.release_radius)
         return Places(release, tuple(ground.free_near(drone, DRONE_CLEARANCE) for drone in configured.drones))
+
+    @property
+    def further(self) -> list[tuple[str, Point]]:
+        """The sources beside the first, which stay where the options put them, with their names."""
+        model = self._released
+        found = sources(model.release, model.release_radius, model.source)
+        return [(f"source {source.number}", source.place) for source in found[1:]]
+
+    @property
+    def winds(self) -> list[tuple[str, str, float, float]]:
+        """The winds of truth and first guess: role, in words, speed in m/s, direction towards which it blows in rad."""
+        found = []
+        for role, words, model in (("truth", "truth", self.study.truth), ("belief", "first guess", self.study.model)):
+            if isinstance(model, AdvectionDiffusion):
+                found.append((role, words, float(model.wind_speed), float(model.wind_direction)))
+        return found
 
     @cached_property
     def attribution(self) -> str:
@@ -102,10 +125,10 @@ class Preview:
         """Return lines about the size of the mesh, and the memory and the time that a run takes."""
         nodes, triangles = self.mesh
         lines = [f"mesh of {len(nodes):,} nodes, {len(triangles):,} triangles"]
-        from dafw.plugins.models.dispersion.reduced_wind.expected import bytes_of_process, seconds_of_basis
-
         ensemble = sum(self.study.wanted_memory().values())
-        lines.append(f"memory: about {(bytes_of_process(len(nodes)) + ensemble) / 1e9:.1f} GB, with {self.study.members} members")
+        lines.append(
+            f"memory: about {(bytes_of_process(len(nodes)) + ensemble) / 1e9:.1f} GB, with {self.study.members} members"
+        )
         wind = getattr(self.model, "wind", None)
         if wind is not None and wind.solver != "newton":
             from dafw.plugins.models.dispersion.reduced_wind.choice import is_made
@@ -114,7 +137,9 @@ class Preview:
                 lines.append("the winds of this site are in the cache: the first cycle begins within seconds")
             else:
                 minutes = seconds_of_basis(len(nodes), wind.basis) / 60.0
-                lines.append(f"the first run makes the winds of this site: about {_minutes(minutes)} on two cores, once")
+                lines.append(
+                    f"the first run makes the winds of this site: about {_minutes(minutes)} on two cores, once"
+                )
         return lines
 
 
@@ -134,4 +159,10 @@ def _point(place: Sequence[float]) -> Point:
 
 
 def _minutes(minutes: float) -> str:
-    return f"{60 * minutes:.0f} s" if minutes < 1.5 else f"{minutes:.0f} minutes" if minutes < 90 else f"{minutes / 60:.0f} hours"
+    return (
+        f"{60 * minutes:.0f} s"
+        if minutes < 1.5
+        else f"{minutes:.0f} minutes"
+        if minutes < 90
+        else f"{minutes / 60:.0f} hours"
+    )

@@ -54,6 +54,6 @@ def changes_of(site: Site, options: SiteOptions) -> Changes:
 
 
 def _noticeable(difference: Any) -> Any:
-    """Return the pieces of a difference that somebody could see."""
-    pieces = [piece for piece in shapely.get_parts(difference) if piece.geom_type == "Polygon"]
-    return shapely.MultiPolygon([piece for piece in pieces if not piece.buffer(-NOTICEABLE / 2).is_empty])
+    """Return what somebody could see of a difference."""
+    seen = difference.buffer(-NOTICEABLE / 2, join_style="mitre").buffer(NOTICEABLE / 2, join_style="mitre")
+    return shapely.MultiPolygon([piece for piece in shapely.get_parts(seen) if not piece.is_empty])

@@ -1,9 +1,9 @@
 """From an Overpass answer to GeoJSON features: ways, and multipolygons with the holes that they have.
 
-OpenStreetMap keeps a ring with many corners as several ways. A multipolygon (a relation) lists the ways of its outer and
-inner rings in any order and direction (https://wiki.openstreetmap.org/wiki/Relation:multipolygon). They are joined at
-common ends. Rings may lie in rings: an island in a yard is an outer ring within an inner one. So, from the largest ring
-to the smallest, outer rings are added and inner ones are taken away.
+OpenStreetMap keeps a ring with many corners as several ways. A multipolygon (a relation) lists the ways of its outer
+and inner rings in any order and direction (https://wiki.openstreetmap.org/wiki/Relation:multipolygon). They are joined
+at common ends. Rings may lie in rings: an island in a yard is an outer ring within an inner one. So, from the largest
+ring to the smallest, outer rings are added and inner ones are taken away.
 """
 
 from __future__ import annotations
@@ -142,9 +142,9 @@ def _multipolygon(relation: Mapping[str, Any], found: Found) -> Any:
 
 def _positions(geometry: Any) -> np.ndarray | None:
     """Return the corners (k, 2) of a way as longitude and latitude in degrees; None if one has no place."""
-    corners = []
+    corners: list[tuple[float, float]] = []
     for corner in geometry if isinstance(geometry, list) else [None]:
-        place = (corner.get("lon"), corner.get("lat")) if isinstance(corner, dict) else (None, None)
+        place: Any = (corner.get("lon"), corner.get("lat")) if isinstance(corner, dict) else (None, None)
         if any(isinstance(degrees, bool) or not isinstance(degrees, int | float) for degrees in place):
             return None
         if not (abs(place[0]) <= 180 and abs(place[1]) < 90):  # nor are they NaN

@@ -34,7 +34,7 @@ LARGEST = 64 * 2**20
 CHUNK = 2**16
 
 
-class _Later(Exception):
+class _LaterError(Exception):
     """The server may answer if it is asked again; ``wait`` is after how many seconds, if it said so."""
 
     def __init__(self, reason: str, wait: float | None = None) -> None:
@@ -46,7 +46,11 @@ def query_of(area: Area, timeout: float) -> str:
     """Return the question, in Overpass QL, for all buildings that touch an area, with their coordinates."""
     box = f"({area.south},{area.west},{area.north},{area.east})"
     man_made = "|".join(sorted(MAN_MADE))
-    wanted = [f'{kind}{tag}{box};' for kind in ("way", "relation") for tag in ('["building"]["building"!="no"]', f'["man_made"~"^({man_made})$"]')]
+    wanted = [
+        f"{kind}{tag}{box};"
+        for kind in ("way", "relation")
+        for tag in ('["building"]["building"!="no"]', f'["man_made"~"^({man_made})$"]')
+    ]
     return f"[out:json][timeout:{max(1, round(timeout))}][maxsize:{4 * LARGEST}];({''.join(wanted)});out geom;"
 
 
@@ -59,7 +63,9 @@ def require_server(address: str) -> None:
     except ValueError:
         usable = False
     if not usable:
-        raise ConfigurationError(f"site fetch: expected the address of a server, such as {PUBLIC_SERVER}, got {address!r}")
+        raise ConfigurationError(
+            f"site fetch: expected the address of a server, such as {PUBLIC_SERVER}, got {address!r}"
+        )
 
 
 def ask(
@@ -87,7 +93,7 @@ def ask(
     for number, pause in enumerate((*pauses, None), start=1):
         try:
             return _try(server, query, timeout)
-        except _Later as later:
+        except _LaterError as later:
             wait = later.wait if later.wait is not None else pause
             if pause is None:
                 raise FetchError(f"{server}: {later}; asked {number} times, try again later") from None
@@ -100,9 +106,11 @@ def ask(
 
 
 def _try(server: str, query: str, timeout: float) -> bytes:
-    """Ask once; raises _Later, FetchError or ConfigurationError."""
+    """Ask once; raises _LaterError, FetchError or ConfigurationError."""
     agent = f"dafw/{version('dafw')} (site fetch)"
-    asked = Request(f"{server}?{urlencode({'data': query})}", headers={"User-Agent": agent, "Accept": "application/json"})
+    asked = Request(
+        f"{server}?{urlencode({'data': query})}", headers={"User-Agent": agent, "Accept": "application/json"}
+    )
     deadline = time.monotonic() + timeout
     try:
         with urlopen(asked, timeout=timeout) as answer:
@@ -112,27 +120,27 @@ def _try(server: str, query: str, timeout: float) -> bytes:
             said = words_of_page(error.read(CHUNK))
         what = f"status {error.code} {error.reason}{f' ({said})' if said else ''}"
         if error.code == 429 or error.code >= 500:
-            raise _Later(what, _wait_of(error.headers.get("Retry-After"))) from None
+            raise _LaterError(what, _wait_of(error.headers.get("Retry-After"))) from None
         raise ConfigurationError(f"{server}: {what}; is this the address of an Overpass server?") from None
     except IncompleteRead:
-        raise _Later("the answer was cut off") from None
+        raise _LaterError("the answer was cut off") from None
     except TimeoutError:
-        raise _Later(f"no answer in {timeout:g} s") from None
+        raise _LaterError(f"no answer in {timeout:g} s") from None
     except URLError as error:
         reason = error.reason
         if isinstance(reason, TimeoutError):
-            raise _Later(f"no answer in {timeout:g} s") from None
+            raise _LaterError(f"no answer in {timeout:g} s") from None
         if isinstance(reason, ConnectionResetError):
-            raise _Later("the server closed the connection") from None
+            raise _LaterError("the server closed the connection") from None
         raise FetchError(f"{server}: cannot be reached ({getattr(reason, 'strerror', None) or reason})") from None
     except ConnectionError:
-        raise _Later("the server closed the connection") from None
+        raise _LaterError("the server closed the connection") from None
     except (HTTPException, OSError, ValueError) as error:
         raise FetchError(f"{server}: does not answer as a web server does ({_short(error)})") from None
 
 
 def _content(server: str, answer: Any, deadline: float) -> bytes:
-    """Return the bytes of an answer; raises _Later if it is cut off or too slow, FetchError if it is too large."""
+    """Return the bytes of an answer; raises _LaterError if it is cut off or too slow, FetchError if it is too large."""
     parts, size = [], 0
     while part := answer.read1(CHUNK):
         parts.append(part)
@@ -140,10 +148,10 @@ def _content(server: str, answer: Any, deadline: float) -> bytes:
         if size > LARGEST:
             raise FetchError(f"{server}: the answer is larger than {LARGEST >> 20} MB; ask for a smaller area")
         if time.monotonic() > deadline:
-            raise _Later("the answer takes too long")
+            raise _LaterError("the answer takes too long")
     stated = answer.headers.get("Content-Length", "")
     if stated.isdecimal() and size < int(stated):
-        raise _Later(f"the answer was cut off after {size} of {stated} bytes")
+        raise _LaterError(f"the answer was cut off after {size} of {stated} bytes")
     return b"".join(parts)
 
 
