@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import json
 import re
+import signal
 import sys
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from threading import Thread
+from threading import Event, Thread
 from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
@@ -70,6 +70,7 @@ class Standin(ThreadingHTTPServer):
     def __init__(self, port: int = 0) -> None:
         self.tricks: list[Callable[[Answers, str], None]] = []
         self.asked: list[tuple[str, dict[str, str]]] = []
+        self.ended = Event()
         super().__init__(("127.0.0.1", port), Answers)
 
     @property
@@ -129,9 +130,17 @@ def babble(answers: Answers, query: str) -> None:
     answers.wfile.write(b"\x00\x01SSH-2.0-OpenSSH\r\n\r\n")
 
 
-def silence(seconds: float):
-    """Return a trick: nothing is said for some time."""
-    return lambda answers, query: time.sleep(seconds)
+def silence(answers: Answers, query: str) -> None:
+    """A trick: nothing is said until the server ends."""
+    answers.server.ended.wait()
+
+
+def drip(answers: Answers, query: str) -> None:
+    """A trick: an answer that comes byte by byte, without an end."""
+    answers.send_response(200)
+    answers.end_headers()
+    while not answers.server.ended.wait(0.02):
+        answers.wfile.write(b" ")
 
 
 def endless(answers: Answers, query: str) -> None:
@@ -145,12 +154,14 @@ def endless(answers: Answers, query: str) -> None:
 @contextmanager
 def standing_in(port: int = 0) -> Iterator[Standin]:
     """Serve during the block."""
+    signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # PETSc, if another test loaded it, has set it back
     with Standin(port) as server:
         thread = Thread(target=server.serve_forever, args=(0.01,))
         thread.start()
         try:
             yield server
         finally:
+            server.ended.set()
             server.shutdown()
             thread.join()
 

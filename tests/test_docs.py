@@ -22,6 +22,7 @@ from pathlib import Path
 import pytest
 import yaml
 from fresh import ROOT, environment, prepared
+from overpass import standing_in
 
 from dafw.testing import CHECKS
 
@@ -41,6 +42,7 @@ REDUCED = {
         "",
         "tests/plugins/models/dispersion/test_mpi.py starts several processes",
     ),
+    r"^(dafw site preview .*) --serve$": (r"\1", "it serves until Ctrl-C; tests/views/test_site_preview.py does"),
     r"executor\.workers=4": ("executor.workers=2", "CI has two cores"),
     r"hydra\.launcher\.n_jobs=4": ("hydra.launcher.n_jobs=2", "CI has two cores"),
     r"^taskset -c \d+ ": ("", "a machine may have one core, or no taskset"),
@@ -186,8 +188,10 @@ def reduced_program(program: str) -> str:
 
 @pytest.fixture(scope="module")
 def variables(tmp_path_factory):
-    """Return the environment variables for all pages: one cache, so that a mesh is made once; no screen."""
-    return {"DAFW_CACHE": str(tmp_path_factory.mktemp("cache")), "MPLBACKEND": "Agg"}
+    """Yield the environment variables for all pages: one cache, so that a mesh is made once; no screen, no network."""
+    with standing_in() as overpass:
+        cache = str(tmp_path_factory.mktemp("cache"))
+        yield {"DAFW_CACHE": cache, "MPLBACKEND": "Agg", "DAFW_OVERPASS": overpass.address}
 
 
 def try_page(page: Path, folder: Path, variables: dict[str, str]) -> int:

@@ -69,7 +69,9 @@ def fetch_command(words: Sequence[str]) -> int:
     server = asked.server or os.environ.get(SERVER) or PUBLIC_SERVER
     require_server(server)
     found = fetch(area, file, server, asked.timeout, anew=asked.anew, say=_say)
-    print(f"{file}: {len(found.features)} buildings{f', data of {found.date}' if found.date else ''}")
+    count = len(found.features)
+    date = f", data of {found.date}" if found.date else ""
+    print(f"{file}: {count} building{'' if count == 1 else 's'}{date}")
     for reason, count in sorted(found.left_out.items()):
         print(f"{count} left out: {reason}")
     if found.incomplete:
@@ -116,6 +118,8 @@ def preview_command(words: Sequence[str]) -> int:
     picture: Path = asked.out or Path(f"{Path(asked.file).stem}_preview.png")
     if picture.suffix.lower() != ".png":
         raise ConfigurationError(f"site preview: expected a picture's name that ends in .png, got {picture}")
+    if not 0 <= asked.port < 2**16:
+        raise ConfigurationError(f"site preview: port {asked.port} cannot be used (expected 0 to 65535)")
     # Here, because they load Hydra and matplotlib, which --help does not need.
     from dafw.views.site_preview import preview_of
 

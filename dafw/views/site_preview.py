@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from dafw.core.composition import compose, quoted_override, study_part
-from dafw.core.errors import ConfigurationError
+from dafw.core.errors import ConfigurationError, OptionError
 from dafw.core.experiment import study_from
 from dafw.core.study import Study
 from dafw.plugins.models.dispersion.model import AdvectionDiffusion
@@ -147,10 +147,16 @@ def preview_of(file: str, overrides: Sequence[str]) -> Preview:
     """Compose a study with a site; raises ConfigurationError if it is wrong or its model has no site."""
     if any(word.lstrip("+").startswith("model.site.file=") for word in overrides):
         raise ConfigurationError(f"site preview: the file is {file!r}, it cannot be an option, too")
-    composed = study_part(compose([*overrides, quoted_override("model.site.file", file)]))
-    study = study_from(composed)
+    try:
+        composed = study_part(compose([*overrides, quoted_override("model.site.file", file)]))
+        study = study_from(composed)
+    except OptionError:
+        model = study_part(compose(overrides)).get("model", {})
+        if "site" not in model:
+            raise ConfigurationError(f"site preview: model '{model.get('name')}' has no site") from None
+        raise
     if not isinstance(study.model, AdvectionDiffusion):
-        raise ConfigurationError(f"site preview: {study.model.label} has no site")
+        raise ConfigurationError(f"site preview: {study.model.label} is none whose site can be drawn")
     return Preview(file, tuple(overrides), composed, study, study.model)
 
 

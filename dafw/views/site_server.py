@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from math import isfinite
 from urllib.parse import SplitResult, parse_qs
 
@@ -64,6 +65,8 @@ def serve(preview: Preview, port: int = 0) -> None:
     Raises ConfigurationError if the port cannot be used.
     """
     with SiteServer(preview, port) as server:
+        # PETSc, with which the mesh was read, has let a browser that hangs up end this process.
+        signal.signal(signal.SIGPIPE, signal.SIG_IGN)
         print(server.address, flush=True)
         try:
             server.serve_forever()

@@ -35,7 +35,7 @@ class Choice {
     });
     const words = element("p", {}, [about]);
     const numbers = inputs.map((input, k) => element("label", {}, ["xy"[k], " ", input, " m"]));
-    const label = element("label", { class: "choose" }, [radio, " ", name]);
+    const label = element("label", { class: "choose" }, [radio, name]);
     const box = element("div", { class: "spot" }, [label, element("div", { class: "numbers" }, numbers), words]);
     [x, y].forEach((value, k) => (inputs[k].value = String(value)));
     return { name, x, y, radio, inputs, words, box };
