@@ -126,10 +126,11 @@ def preview_command(words: Sequence[str]) -> int:
     preview = preview_of(asked.file, asked.overrides)
     if asked.serve:
         from dafw.studies.stopping import stop_signals
-        from dafw.views.site_server import serve
+        from dafw.views.site_server import SiteServer, serve
 
+        server = SiteServer(preview, asked.port)  # before the signals are set: PETSc, which reads the mesh, resets them
         with stop_signals():
-            serve(preview, asked.port)
+            serve(server)
         return 0
     print("\n".join(preview.site.report_lines()))
     print("\n".join(preview.size_lines()))

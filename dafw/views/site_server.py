@@ -17,7 +17,10 @@ FAR = 1e6
 
 
 class SiteServer(LocalServer):
-    """Has the page at /, and at /command the command for places; ``chosen`` is the last one that was given."""
+    """Has the page at /, and at /command the command for places; ``chosen`` is the last one that was given.
+
+    Raises ConfigurationError if the port cannot be used.
+    """
 
     def __init__(self, preview: Preview, port: int = 0) -> None:
         self.preview = preview
@@ -59,12 +62,9 @@ def _points(words: list[str]) -> list[Point] | None:
     return points
 
 
-def serve(preview: Preview, port: int = 0) -> None:
-    """Serve the page until Ctrl-C: print its address, and at the end the last command that it gave.
-
-    Raises ConfigurationError if the port cannot be used.
-    """
-    with SiteServer(preview, port) as server:
+def serve(server: SiteServer) -> None:
+    """Serve the page until Ctrl-C: print its address, and at the end the last command that it gave."""
+    with server:
         # PETSc, with which the mesh was read, has let a browser that hangs up end this process.
         signal.signal(signal.SIGPIPE, signal.SIG_IGN)
         print(server.address, flush=True)

@@ -277,7 +277,7 @@ def test_an_interrupt_prints_the_last_command_and_closes_the_port(preview, monke
         raise KeyboardInterrupt
 
     monkeypatch.setattr(SiteServer, "serve_forever", interrupted)
-    serve(preview)
+    serve(SiteServer(preview))
     address, command = capsys.readouterr().out.splitlines()
     assert composed(command)["model"]["release"] == [0.0, -20.0]
     with pytest.raises(OSError):
