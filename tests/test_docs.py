@@ -43,6 +43,7 @@ REDUCED = {
         "tests/plugins/models/dispersion/test_mpi.py starts several processes",
     ),
     r"^(dafw site preview .*) --serve$": (r"\1", "it serves until Ctrl-C; tests/views/test_site_preview.py does"),
+    r"^(dafw plot .*)--times 30,60": (r"\1--times 0,1", "the run has one cycle"),
     r"executor\.workers=4": ("executor.workers=2", "CI has two cores"),
     r"hydra\.launcher\.n_jobs=4": ("hydra.launcher.n_jobs=2", "CI has two cores"),
     r"^taskset -c \d+ ": ("", "a machine may have one core, or no taskset"),

@@ -34,7 +34,7 @@ usage: dafw COMMAND [...]
   run [-m] [experiment=NAME] [overrides]   run a study; -m runs every combination of the values given (a=1,2)
   study NAME [overrides] | --list          run a study file's configurations on many seeds, and compare them
   plugins [--json] [NAME]                  list the plugins, or the options of those with this name
-  plot RUN|SWEEP ... [--out DIR]           draw the pictures of a run, or of several together
+  plot RUN|SWEEP ... [--out DIR]           draw the pictures of a run, or of several; --help: for print, at chosen times
   animate RUN ... [-o FILE.gif|FILE.mp4]   write an animation of the maps of a run
   report RUN|SWEEP|STUDY ... [-o FILE]     write a page in one file that plays a run, or compares many, in a browser
   watch RUN [--port N]                     serve that page on this machine while the run goes on, and follow it

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import http.client
 import json
+import os
 import re
 import shlex
 import signal
+import subprocess
+import sys
 from contextlib import contextmanager
 from pathlib import Path
 from threading import Thread
@@ -17,6 +20,7 @@ import pytest
 import shapely
 from browser import differ, open_page
 from playwright.sync_api import expect
+from waiting import PATIENCE
 
 from dafw.commands import main
 from dafw.core.composition import compose, study_part
@@ -234,7 +238,7 @@ def serving(preview):
 
 
 def ask(server, path, **headers):
-    connection = http.client.HTTPConnection(*server.server_address, timeout=60.0)
+    connection = http.client.HTTPConnection(*server.server_address, timeout=PATIENCE)
     connection.request("GET", path, headers={name.replace("_", "-"): value for name, value in headers.items()})
     answer = connection.getresponse()
     text = answer.read().decode()
@@ -281,7 +285,20 @@ def test_an_interrupt_prints_the_last_command_and_closes_the_port(preview, monke
     address, command = capsys.readouterr().out.splitlines()
     assert composed(command)["model"]["release"] == [0.0, -20.0]
     with pytest.raises(OSError):
-        http.client.HTTPConnection(address.split("/")[2], timeout=5.0).request("GET", "/")
+        http.client.HTTPConnection(address.split("/")[2], timeout=PATIENCE).request("GET", "/")
+
+
+def test_a_signal_ends_the_command(file, tmp_path):
+    words = [sys.executable, "-m", "dafw", "site", "preview", str(file), "--serve", *COARSE]
+    told = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "cwd": tmp_path}
+    with subprocess.Popen(words, **told, env={**os.environ, "DAFW_CACHE": str(tmp_path)}) as serving:
+        try:
+            assert re.fullmatch(r"http://127\.0\.0\.1:\d+/\n", serving.stdout.readline())
+            serving.send_signal(signal.SIGTERM)  # the mesh is read with PETSc, which sets signals to end a process
+            out, err = serving.communicate(timeout=PATIENCE)
+        finally:
+            serving.kill()
+    assert (serving.returncode, err) == (0, "") and composed(out)["section"] == []
 
 
 def clicked(page, preview, x, y):
