@@ -42,7 +42,6 @@ REDUCED = {
         "",
         "tests/plugins/models/dispersion/test_mpi.py starts several processes",
     ),
-    r"^(dafw site preview .*) --serve$": (r"\1", "it serves until Ctrl-C; tests/views/test_site_preview.py does"),
     r"^(dafw plot .*)--times 30,60": (r"\1--times 0,1", "the run has one cycle"),
     r"executor\.workers=4": ("executor.workers=2", "CI has two cores"),
     r"hydra\.launcher\.n_jobs=4": ("hydra.launcher.n_jobs=2", "CI has two cores"),
@@ -129,6 +128,7 @@ REDUCED = {
 """Commands that would take long or that a test cannot run: what is run instead, and why."""
 
 OMITTED = {
+    r"^dafw site preview .* --serve$": "serves until Ctrl-C; tests/views/test_site_preview.py does it",
     r"^uv pip compile ": "asks a package registry, and would write the lock file",
     r"l96\.etkf_over_dapper": "downloads DAPPER into an environment of its own",
     r"esmda\.difference_from_pyesmda": "downloads pyESMDA into an environment of its own",
