@@ -13,6 +13,7 @@ import shapely
 from shapely.ops import nearest_points
 
 from dafw.core.composition import quoted_override
+from dafw.core.errors import SiteError
 from dafw.plugins.models.dispersion.site.site import Site
 
 DIGITS = 1
@@ -62,19 +63,20 @@ class Ground:
     def free_near(self, place: Point, clearance: float) -> Point:
         """Return the place itself if it is free, else one near it that is: if possible so far from walls (m).
 
-        Where no place is so far from all walls, half of it is tried, and so on.
+        Where no place is so far from all walls, half of it is tried, and so on. Raises SiteError if none is free.
         """
         if not self.problem(place):
             return place
         point = shapely.Point(place)
-        while True:
-            room = self.site.domain.buffer(-clearance) if clearance > 0.1 else self.site.domain
+        while clearance > 0.05:
+            room = self.site.domain.buffer(-clearance)
             if not room.is_empty:
-                found = nearest_points(room.representative_point() if clearance <= 0.1 else room, point)[0]
+                found = nearest_points(room, point)[0]
                 rounded = (round(found.x, DIGITS), round(found.y, DIGITS))
                 if not self.problem(rounded):
                     return rounded
             clearance /= 2.0
+        raise SiteError("site preview: there is no free ground between the buildings where anything could be placed")
 
 
 def shortened(name: str, longest: int = 60) -> str:

@@ -136,10 +136,8 @@ class Preview:
             if is_made(self.model.tagged_mesh, wind):
                 lines.append("the winds of this site are in the cache: the first cycle begins within seconds")
             else:
-                minutes = seconds_of_basis(len(nodes), wind.basis) / 60.0
-                lines.append(
-                    f"the first run makes the winds of this site: about {_minutes(minutes)} on two cores, once"
-                )
+                time = _in_words(seconds_of_basis(len(nodes), wind.basis))
+                lines.append(f"the first run makes the winds of this site: about {time} on two cores, once")
         return lines
 
 
@@ -164,11 +162,9 @@ def _point(place: Sequence[float]) -> Point:
     return float(place[0]), float(place[1])
 
 
-def _minutes(minutes: float) -> str:
-    return (
-        f"{60 * minutes:.0f} s"
-        if minutes < 1.5
-        else f"{minutes:.0f} minutes"
-        if minutes < 90
-        else f"{minutes / 60:.0f} hours"
-    )
+def _in_words(seconds: float) -> str:
+    """Return a time, in s, as people say it."""
+    for unit, name, longest in ((1.0, "s", 90.0), (60.0, "minutes", 5400.0)):
+        if seconds < longest:
+            return f"{seconds / unit:.0f} {name}"
+    return f"{seconds / 3600.0:.0f} hours"

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from dafw.core.errors import FetchError, SiteError
 from dafw.core.files import atomic_file, write_atomically
+from dafw.core.progress import long_task
 from dafw.plugins.models.dispersion.cache import cache_folder
 from dafw.plugins.models.dispersion.site.area import Area
 from dafw.plugins.models.dispersion.site.osm import Found, read_answer
@@ -52,7 +53,8 @@ def fetch(
     kept = cache_folder() / f"overpass-{hashlib.sha256(question.encode()).hexdigest()[:32]}.json"
     found = None if anew else _from_cache(kept, server, area, say)
     if found is None:
-        content = ask(server, query_of(area, timeout), timeout, say=say, sleep=sleep)
+        with long_task(f"asking {server}"):
+            content = ask(server, query_of(area, timeout), timeout, say=say, sleep=sleep)
         found = read_answer(content, server, area)
         _keep(kept, content, say)
     if not found.features:

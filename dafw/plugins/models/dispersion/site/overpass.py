@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from datetime import UTC, datetime
 from email.utils import parsedate_to_datetime
 from http.client import HTTPException, IncompleteRead
@@ -116,8 +117,7 @@ def _try(server: str, query: str, timeout: float) -> bytes:
         with urlopen(asked, timeout=timeout) as answer:
             return _content(server, answer, deadline)
     except HTTPError as error:
-        with error:
-            said = words_of_page(error.read(CHUNK))
+        said = _page_of(error)
         what = f"status {error.code} {error.reason}{f' ({said})' if said else ''}"
         if error.code == 429 or error.code >= 500:
             raise _LaterError(what, _wait_of(error.headers.get("Retry-After"))) from None
@@ -137,6 +137,13 @@ def _try(server: str, query: str, timeout: float) -> bytes:
         raise _LaterError("the server closed the connection") from None
     except (HTTPException, OSError, ValueError) as error:
         raise FetchError(f"{server}: does not answer as a web server does ({_short(error)})") from None
+
+
+def _page_of(error: HTTPError) -> str:
+    """Return what the page of an error says, if it can be read at all."""
+    with suppress(OSError, HTTPException, ValueError), error:
+        return words_of_page(error.read(CHUNK))
+    return ""
 
 
 def _content(server: str, answer: Any, deadline: float) -> bytes:

@@ -193,6 +193,7 @@ def test_an_answer_that_breaks_off_is_asked_for_again(ask, trick):
         (busy(429, Retry_After="4000"), 1, "asks to come back in 4000 s"),
         (busy(400), 1, r"status 400 .*is this the address of an Overpass server\?"),
         (sends(b"", 404), 1, "status 404"),
+        (sends(b"cut", 403, Content_Length="99"), 1, "status 403"),
         (sends(b""), 1, "expected JSON, got nothing"),
         (
             sends(b"<html><head><title>x</title></head><b>Log in &amp; pay</b>", 200),
