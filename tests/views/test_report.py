@@ -134,10 +134,10 @@ def test_a_title_and_a_mark_stay_what_they_are():
 def test_the_scripts_have_every_module_once_and_ask_no_network():
     modules = {path.stem for path in PAGE.glob("*.js")}
     used = set()
-    for main in ("main", "place"):
-        script = bundle(main)
+    for entry in ("main", "place"):
+        script = bundle(entry)
         found = re.findall(r"^modules\.(\w+) = ", script, re.MULTILINE)
-        assert len(found) == len(set(found)) and main in found
+        assert len(found) == len(set(found)) and entry in found
         used |= set(found)
         assert not re.search(r"^\s*(import|export)\b", script, re.MULTILINE)
         assert "</script" not in script and "<!--" not in script
