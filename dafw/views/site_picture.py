@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -52,8 +53,9 @@ def plot_site(preview: Preview) -> Figure:
     room = 0.02 * max(x_max - x_min, y_max - y_min)
     axes.set(xlim=(x_min - room, x_max + room), ylim=(y_min - room, y_max + room), xlabel="x (m)", ylabel="y (m)")
     lon, lat = preview.site.origin
+    name = Path(preview.file).name
     axes.set_title(
-        f"{preview.file}: {x_max - x_min:.0f} m x {y_max - y_min:.0f} m about {lon:.5f}, {lat:.5f} (longitude, "
+        f"{name}: {x_max - x_min:.0f} m x {y_max - y_min:.0f} m about {lon:.5f}, {lat:.5f} (longitude, "
         f"latitude); {len(preview.site.buildings)} buildings",
         fontsize=10,
         parse_math=False,
