@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
@@ -12,6 +13,7 @@ from dafw.core.errors import DivergenceError, SolverError
 from dafw.core.forecasts.ahead import run_ahead
 from dafw.core.forecasts.areas import places_of
 from dafw.core.study import Study
+from dafw.studies.resuming import restored, shared
 from dafw.studies.stopping import Interrupted, stop_signals
 
 
@@ -20,10 +22,12 @@ def follow_study(study: Study, communicator: Any) -> None:
     parts, vehicle = study.prepare(communicator)
     with stop_signals() as stop, threadpool_limits(limits=1, user_api="blas"):
         state = start(parts, study.members, vehicle)
+        if (before := shared(None, communicator)) is not None:
+            state = restored(before, state, parts, Path(study.name))
         stop.patient = True
         plan = study.forecast
         places = None if plan.every is None else places_of(plan, parts.model.space.variables[0], parts.model.domain)
-        for done in range(1, study.cycles + 1):
+        for done in range(state.cycle + 1, study.cycles + 1):
             state = advance(parts, state).state
             if places is not None and plan.is_due(done, parts.model.dt):
                 with suppress(SolverError, DivergenceError):  # rank 0 says so
