@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from dafw.core.checkpoints.checkpoint_file import FOLDER, Checkpoint, write_checkpoint
-from dafw.core.checkpoints.fingerprint import described, start_digest
+from dafw.core.checkpoints.fingerprint import start_digest
 from dafw.core.checkpoints.journal import Journal
 from dafw.core.checkpoints.values import UnwritableError, packed
 from dafw.core.cycle import Parts, State
@@ -32,13 +32,21 @@ LATER = "later/"
 class Checkpointing:
     """Writes the checkpoints of one run.
 
-    ``start`` is the state at its start, ``before`` the checkpoint from which it goes on, if there is one. Raises
-    OSError if the folder cannot be made.
+    ``configuration`` is what ``described`` says of the study, ``start`` the state at its start, ``before`` the
+    checkpoint from which it goes on, if there is one. Raises OSError if the folder cannot be made.
     """
 
-    def __init__(self, study: Study, parts: Parts, folder: Path, start: State, before: Checkpoint | None) -> None:
+    def __init__(
+        self,
+        study: Study,
+        configuration: Mapping[str, Any],
+        parts: Parts,
+        folder: Path,
+        start: State,
+        before: Checkpoint | None,
+    ) -> None:
         self._plan, self._parts, self._folder = study.checkpoint, parts, folder / FOLDER
-        self._configuration, self._start = described(study), start_digest(start)
+        self._configuration, self._start = configuration, start_digest(start)
         self._folder.mkdir(exist_ok=True)
         lengths: Mapping[str, int] = {} if before is None else before.told["journals"]
         wanted = [ROWS, *([FORECASTS] if study.forecast.every is not None else [])]
@@ -81,6 +89,7 @@ class Checkpointing:
         told: dict[str, Any] = {
             "configuration": self._configuration,
             "versions": summary.versions,
+            "pinned": summary.pinned,
             "start": self._start,
             "journals": {name: journal.length() for name, journal in self._journals.items()},
             "state": tree,

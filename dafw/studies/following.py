@@ -12,6 +12,7 @@ from dafw.core.cycle import advance, start
 from dafw.core.errors import DivergenceError, SolverError
 from dafw.core.forecasts.ahead import run_ahead
 from dafw.core.forecasts.areas import places_of
+from dafw.core.pinned import pinned_study
 from dafw.core.study import Study
 from dafw.studies.resuming import restored, shared
 from dafw.studies.stopping import Interrupted, stop_signals
@@ -19,10 +20,13 @@ from dafw.studies.stopping import Interrupted, stop_signals
 
 def follow_study(study: Study, communicator: Any) -> None:
     """Take part in rank 0's run as another rank, without writing any file; raises the errors of the run."""
+    before = shared(None, communicator)
+    if before is not None:
+        study = pinned_study(study, before.told["pinned"])
     parts, vehicle = study.prepare(communicator)
     with stop_signals() as stop, threadpool_limits(limits=1, user_api="blas"):
         state = start(parts, study.members, vehicle)
-        if (before := shared(None, communicator)) is not None:
+        if before is not None:
             state = restored(before, state, parts, Path(study.name))
         stop.patient = True
         plan = study.forecast

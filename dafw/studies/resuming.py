@@ -5,21 +5,22 @@ from __future__ import annotations
 import logging
 import shutil
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from filelock import FileLock, Timeout
 
 from dafw.core.checkpoints.checkpoint_file import FOLDER, Checkpoint, checkpoints, read_checkpoint
-from dafw.core.checkpoints.fingerprint import changed_versions, described, difference, digest, start_digest
+from dafw.core.checkpoints.fingerprint import changed_versions, compared, described, difference, digest, start_digest
 from dafw.core.checkpoints.journal import entries
 from dafw.core.checkpoints.values import unpacked
 from dafw.core.cycle import Parts, State
-from dafw.core.errors import CheckpointError, RunError
+from dafw.core.errors import CheckpointError, DafwError, RunError
 from dafw.core.forecasts.forecast_file import FILE
 from dafw.core.runs import summary_of
 from dafw.core.study import Study
+from dafw.studies.run_configuration import configuration_of
 from dafw.studies.summary import versions_of
 
 log = logging.getLogger("dafw")
@@ -106,12 +107,9 @@ def _require_same(folder: Path, study: Study, found: Checkpoint) -> None:
 
 def _other(folder: Path, study: Study) -> str:
     """Return how the configuration of a run in a folder differs from a study's."""
-    for path in checkpoints(folder / FOLDER):
-        try:
-            before = read_checkpoint(path).told["configuration"]
-        except CheckpointError:
-            continue
-        if before != (now := described(study)):
+    with suppress(DafwError):  # of a run that was made of objects, or by an older version, it cannot be told
+        before = compared(configuration_of(folder))
+        if study.configuration is not None and before != (now := described(study)):
             return f"its run had {difference(before, now)}"
     return "its run had another configuration"
 
@@ -150,7 +148,7 @@ def shared(checkpoint: Checkpoint | None, communicator: Any) -> Checkpoint | Non
     """Return rank 0's checkpoint on all ranks of an MPI communicator, if there is one; all of them call this."""
     if communicator is None:
         return checkpoint
-    needed = ("start", "state")
+    needed = ("start", "state", "pinned")
     mine = None if checkpoint is None else (checkpoint.cycle, {name: checkpoint.told[name] for name in needed})
     told = communicator.bcast(None if mine is None or checkpoint is None else (*mine, dict(checkpoint.arrays)), root=0)
     return checkpoint if communicator.rank == 0 or told is None else Checkpoint(*told)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Mapping
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from time import perf_counter
@@ -18,6 +19,7 @@ from dafw.core.cycle import Cycle, Parts, State, advance, start
 from dafw.core.ensemble import Vehicle
 from dafw.core.errors import CheckpointError, ComputationError, DafwError, RecordError, RunError
 from dafw.core.files import claim, write_atomically
+from dafw.core.pinned import pinned_study
 from dafw.core.plugin import by_plugin
 from dafw.core.progress import progress
 from dafw.core.record import Record
@@ -64,7 +66,10 @@ def run_study(study: Study, folder: Path, communicator: Any = None, *, resume: b
     with ExitStack() as stack:
         if goes_on:  # a wrong request to go on raises before the parts are built, which may take long
             stack.enter_context(held(folder))
-        before = last_checkpoint(folder, study) if goes_on else None
+        before = shared(last_checkpoint(folder, study) if goes_on else None, communicator)
+        told = described(study)
+        if before is not None:
+            study = pinned_study(study, before.told["pinned"])
         # A wrong request raises here, before anything is written.
         parts, vehicle = study.prepare(communicator)
         if not goes_on:
@@ -73,7 +78,7 @@ def run_study(study: Study, folder: Path, communicator: Any = None, *, resume: b
             claim(folder / "summary.json")
         elif before is None:
             cleared(folder)
-        return _carried_out(_Run(study, folder, begun, communicator, before), parts, vehicle)
+        return _carried_out(_Run(study, told, folder, begun, communicator, before), parts, vehicle)
 
 
 def _carried_out(run: _Run, parts: Parts, vehicle: Vehicle) -> dict[str, Any]:
@@ -122,9 +127,17 @@ def refuse_run(folder: Path, communicator: Any = None) -> None:
 
 
 class _Run:
-    """One run in progress; ``before`` is the checkpoint from which it goes on."""
+    """One run in progress. ``told`` is its configuration; ``before`` the checkpoint from which it goes on."""
 
-    def __init__(self, study: Study, folder: Path, begun: float, communicator: Any, before: Checkpoint | None) -> None:
+    def __init__(
+        self,
+        study: Study,
+        told: Mapping[str, Any],
+        folder: Path,
+        begun: float,
+        communicator: Any,
+        before: Checkpoint | None,
+    ) -> None:
         self.study, self.folder, self.communicator = study, folder, communicator
         self.summary = Summary(study, begun, communicator.size if communicator else 1)
         self.record: Record | None = None
@@ -134,7 +147,8 @@ class _Run:
         self._between: State | None = None
         """The state to which all that is written belongs; None while a cycle is being written."""
         self._writing = _Writing(folder)
-        self.summary.configuration = digest(described(study))
+        self._told = told
+        self.summary.configuration = digest(told)
         if before is not None:
             try:
                 self.summary.go_on(before.told["summary"])
@@ -150,7 +164,7 @@ class _Run:
         log.info("study '%s', seed %d, %d members", study.name, study.seed, study.members)
         parts.executor.start(parts.model, study.model_configuration)
         first = start(parts, study.members, vehicle)
-        before = shared(self.before, self.communicator)
+        before = self.before
         state = first if before is None else restored(before, first, parts, self.folder)
         summary.begin(study)
         stop.patient = True
@@ -192,7 +206,7 @@ class _Run:
         study, before, attributes = self.study, self.before, self.summary.file_attributes()
         places = self.folder / FOLDER
         if study.checkpoint.wanted:
-            self.checkpointing = Checkpointing(study, parts, self.folder, first, before)
+            self.checkpointing = Checkpointing(study, self._told, parts, self.folder, first, before)
         lengths = {} if before is None else before.told["journals"]
         self.record = record = Record(
             self.folder / "run.nc",

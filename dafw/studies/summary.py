@@ -9,6 +9,7 @@ from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 from time import perf_counter
 from typing import Any
 
@@ -150,6 +151,7 @@ class Summary:
             "versions": self.versions,
             "forecasts": None if self.forecasts is None else dict(self.forecasts),
             "configuration": self.configuration,
+            "working_folder": str(Path.cwd()),
             "resumed_after": self.resumed_after,
         }
         failure = {"error": self.error, "failed_at": self.failed_at} if self.error else {}

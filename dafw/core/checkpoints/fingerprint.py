@@ -26,10 +26,15 @@ def described(study: Study) -> dict[str, Any]:
     Of a study that was made of objects these are the classes of its parts and their options.
     """
     if study.configuration is not None:
-        return dict(_plain({name: one for name, one in study.configuration.items() if name not in NOT_COMPARED}))
+        return compared(study.configuration)
     parts = {role: {"class": _class(part), **_options(part)} for role, part in study.parts_by_role.items()}
     own = {name: getattr(study, name) for name in OWN}
     return dict(_plain({**parts, **own, "forecast": asdict(study.forecast)}))
+
+
+def compared(configuration: Mapping[str, Any]) -> dict[str, Any]:
+    """Return of a composed configuration what changes the numbers of a run."""
+    return dict(_plain({name: one for name, one in configuration.items() if name not in NOT_COMPARED}))
 
 
 def digest(configuration: Mapping[str, Any]) -> str:
