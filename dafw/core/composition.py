@@ -111,7 +111,8 @@ def require_fixed_folder(config: DictConfig, sweep: bool = False) -> None:
     place = OmegaConf.to_container(config.hydra[key], resolve=False)
     if isinstance(place, dict) and "${now:" in str(place.get("dir")):
         raise ConfigurationError(
-            f"resume=auto needs a folder that is the same each time: hydra.{key}.dir=FOLDER, got the time in its name"
+            f"resume=auto needs a folder that is the same each time, and this one has the time in its name: "
+            f"hydra.{key}.dir=FOLDER"
         )
 
 

@@ -86,7 +86,8 @@ def difference_of(before: Dataset, now: Dataset, along: str) -> str:
     if not differing:
         return ""
     (_, row, name), number = differing[0], len(differing)
-    more = f"; {number - 1} more variables differ, there or later" if number > 1 else ""
+    others = "1 more variable differs" if number == 2 else f"{number - 1} more variables differ"
+    more = f"; {others}, there or later" if number > 1 else ""
     if row == -2:
         return f"{name}: {_shape_or_attributes(before[name], now[name])}{more}"
     return f"{_told(before, now, name, row, along)}{more}"

@@ -107,9 +107,13 @@ def _require_same(folder: Path, study: Study, found: Checkpoint) -> None:
 
 def _other(folder: Path, study: Study) -> str:
     """Return how the configuration of a run in a folder differs from a study's."""
-    with suppress(DafwError):  # of a run that was made of objects, or by an older version, it cannot be told
-        before = compared(configuration_of(folder))
-        if study.configuration is not None and before != (now := described(study)):
+    now = described(study)
+    for path in checkpoints(folder / FOLDER):
+        with suppress(CheckpointError):
+            if (before := read_checkpoint(path).told["configuration"]) != now:
+                return f"its run had {difference(before, now)}"
+    with suppress(DafwError):  # of a run that was made of objects it cannot be told
+        if study.configuration is not None and (before := compared(configuration_of(folder))) != now:
             return f"its run had {difference(before, now)}"
     return "its run had another configuration"
 
