@@ -40,11 +40,19 @@ from dafw.studies.replaying import difference_of
 
 CYCLES, EVERY = 48, 4
 WORDS = [
-    *("experiment=lorenz96", "filter=enks", "filter.window=3", "members=20", f"cycles={CYCLES}", "pictures=false"),
+    *(
+        "experiment=lorenz96",
+        "filter=enks",
+        "filter.window=3",
+        "members=20",
+        f"cycles={CYCLES}",
+        "pictures=false",
+        "record.members=all",
+    ),
     *("forecast.every=0.5", "forecast.horizon=0.2", "forecast.lead_times=[0,0.1]", f"checkpoint.cycles={EVERY}"),
 ]
 """A smoother that rewrites rows, with forecasts: everything that a checkpoint must hold."""
-SMALL_DISK = 700_000
+SMALL_DISK = 1_300_000
 """Bytes of the disk that becomes full."""
 
 
@@ -191,16 +199,16 @@ def kinds(size: int) -> dict[str, Callable[[random.Random], tuple[str, Callable[
         return draw
 
     def inside(rng: random.Random) -> tuple[str, Callable[[], None]]:
-        place = size - rng.randint(1, size // 10)  # netCDF allots most of a short file at once
+        place = size - rng.randint(1, size // 5)  # netCDF allots most of a short file at once
         return f"byte {place} of run.nc", limited(place, kills=True)
 
     return {
         "before a cycle": at(running, "advance", CYCLES, "cycle"),
         "inside a write of HDF5": inside,
         "between the variables of rows": at(RunFile, "_write_blocks", rows, "write", half_the_rows),
-        "inside a checkpoint": at(np.lib.format, "write_array", 20 * rows, "array", half_an_array),
+        "inside a checkpoint": at(np.lib.format, "write_array", 12 * rows, "array", half_an_array),
         "between a checkpoint and its name": at(os, "fsync", 3 * rows, "fsync"),
-        "inside a journal": at(journal.Journal, "add", CYCLES // 2, "entry", half_an_entry),
+        "inside a journal": at(journal.Journal, "add", 55, "entry", half_an_entry),
         "before old checkpoints go": at(checkpoint_file, "checkpoints", rows, "checkpoint"),
     }
 

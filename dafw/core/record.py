@@ -200,8 +200,7 @@ class Record:
                     self._truths[int(told["truth"])] = arrays["truth"]
                 else:
                     self._file.repeat(told, arrays)
-            if self._journal is not None:
-                self._done = self._file.go_on(self._journal, later) - 1
+            self._done = self._file.go_on(self._journal, later) - 1
         except (LookupError, TypeError, ValueError) as error:
             raise CheckpointError(f"its rows do not fit the study ({type(error).__name__}: {error})") from error
 

@@ -329,7 +329,7 @@ class RunFile:
             case _:
                 raise LookupError(f"an entry that is not known: {sorted(told)}")
 
-    def go_on(self, journal: Journal, later: Mapping[str, Any]) -> int:
+    def go_on(self, journal: Journal | None, later: Mapping[str, Any]) -> int:
         """Write what ``settle`` returned, tell ``journal`` of what follows, and return the number of rows there are."""
         self._journal = journal
         for place, values in later.items():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import shutil
 from collections.abc import Mapping
 from pathlib import Path
 from time import perf_counter
@@ -13,7 +12,7 @@ import numpy as np
 
 from dafw.core.checkpoints.checkpoint_file import FOLDER, Checkpoint, write_checkpoint
 from dafw.core.checkpoints.fingerprint import start_digest
-from dafw.core.checkpoints.journal import Journal
+from dafw.core.checkpoints.journal import FORECASTS, ROWS, Journal
 from dafw.core.checkpoints.values import UnwritableError, packed
 from dafw.core.cycle import Parts, State
 from dafw.core.record import Record
@@ -24,7 +23,6 @@ from dafw.studies.summary import Summary
 
 log = logging.getLogger("dafw")
 
-ROWS, FORECASTS = "rows.journal", "forecasts.journal"
 LATER = "later/"
 """Prefix, among the arrays of a checkpoint, of revised rows that may be revised again."""
 
@@ -107,7 +105,3 @@ class Checkpointing:
         """Close the journals. What cannot be written belongs to no checkpoint."""
         for journal in self._journals.values():
             journal.close()
-
-    def remove(self) -> None:
-        """Remove all checkpoints: the run is complete."""
-        shutil.rmtree(self._folder, ignore_errors=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import shutil
+from collections import deque
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -13,7 +14,7 @@ from filelock import FileLock, Timeout
 
 from dafw.core.checkpoints.checkpoint_file import FOLDER, Checkpoint, checkpoints, read_checkpoint
 from dafw.core.checkpoints.fingerprint import changed_versions, compared, described, difference, digest, start_digest
-from dafw.core.checkpoints.journal import entries
+from dafw.core.checkpoints.journal import FORECASTS, ROWS, entries
 from dafw.core.checkpoints.values import unpacked
 from dafw.core.cycle import Parts, State
 from dafw.core.errors import CheckpointError, DafwError, RunError
@@ -75,9 +76,9 @@ def last_checkpoint(folder: Path, study: Study) -> Checkpoint | None:
     for path in files:
         try:
             found = read_checkpoint(path)
-            for name, length in found.told["journals"].items():
-                for _ in entries(folder / FOLDER / name, length):
-                    pass
+            for name in (ROWS, FORECASTS):
+                if name in found.told["journals"]:
+                    deque(entries(folder / FOLDER / name, found.told["journals"][name]), maxlen=0)
         except CheckpointError as error:
             errors.append(error)
             continue
@@ -124,7 +125,7 @@ def restored(checkpoint: Checkpoint, start: State, parts: Parts, folder: Path) -
     Raises RunError if that is not the one with which the run began, CheckpointError if the state cannot be read.
     """
     if (before := checkpoint.told["start"]) != (now := start_digest(start)):
-        parts_of = zip(("belief", "truth", "free run"), before.split(), now.split(), strict=True)
+        parts_of = zip(("belief", "truth", "free run"), before.split(), now.split(), strict=False)
         changed = " and ".join(name for name, one, other in parts_of if one != other)
         raise RunError(
             f"{folder}: the {changed} at the start differs from that with which the run began: a file or a plugin that "

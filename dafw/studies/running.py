@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import shutil
 from collections.abc import Mapping
 from contextlib import ExitStack, suppress
 from pathlib import Path
@@ -14,7 +15,7 @@ from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from dafw.core.checkpoints.checkpoint_file import FOLDER, Checkpoint
 from dafw.core.checkpoints.fingerprint import described, digest
-from dafw.core.checkpoints.journal import entries
+from dafw.core.checkpoints.journal import FORECASTS, ROWS, entries
 from dafw.core.cycle import Cycle, Parts, State, advance, start
 from dafw.core.ensemble import Vehicle
 from dafw.core.errors import CheckpointError, ComputationError, DafwError, RecordError, RunError
@@ -25,7 +26,7 @@ from dafw.core.progress import progress
 from dafw.core.record import Record
 from dafw.core.runs import summary_of
 from dafw.core.study import Study
-from dafw.studies.checkpointing import FORECASTS, LATER, ROWS, Checkpointing
+from dafw.studies.checkpointing import LATER, Checkpointing
 from dafw.studies.forecasting import Forecasting
 from dafw.studies.pictures import draw_pictures
 from dafw.studies.reporting import closing_line, log_domain, log_file, postfix, sentence, warn_once
@@ -152,7 +153,7 @@ class _Run:
         if before is not None:
             try:
                 self.summary.go_on(before.told["summary"])
-            except (LookupError, TypeError, ValueError) as error:
+            except (LookupError, TypeError, ValueError, AttributeError) as error:
                 raise CheckpointError(f"{folder / FOLDER}: its summary cannot be read ({error})") from error
         # The status of a run that is killed before it can write another one.
         self.noted = perf_counter()
@@ -272,8 +273,8 @@ class _Run:
             with self._writing:
                 self._write_summary()
             log.info("%s after %d of %d cycles %s", status, summary.cycles, self.study.cycles, summary.error)
-        if status == "complete" and self.checkpointing is not None:
-            self.checkpointing.remove()
+        if status == "complete":
+            shutil.rmtree(self.folder / FOLDER, ignore_errors=True)
 
     def _write_summary(self) -> None:
         self.noted = perf_counter()

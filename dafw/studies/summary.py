@@ -7,6 +7,7 @@ import math
 import platform
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -47,6 +48,9 @@ class Summary:
         self._left_out: defaultdict[str, int] = defaultdict(int)
         self._innovations: list[float] = []
         self.configuration = ""
+        self.working_folder: str | None = None
+        with suppress(OSError):  # somebody has removed it
+            self.working_folder = str(Path.cwd())
         self.resumed_after: list[int] = []
         self.failed_at: Mapping[str, Any] | None = None
 
@@ -151,7 +155,7 @@ class Summary:
             "versions": self.versions,
             "forecasts": None if self.forecasts is None else dict(self.forecasts),
             "configuration": self.configuration,
-            "working_folder": str(Path.cwd()),
+            "working_folder": self.working_folder,
             "resumed_after": self.resumed_after,
         }
         failure = {"error": self.error, "failed_at": self.failed_at} if self.error else {}

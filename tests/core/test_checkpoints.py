@@ -18,6 +18,7 @@ from dafw import Diagnostic, Ensemble, Forecast, Observation, ObservationOperato
 from dafw.core.checkpoints.checkpoint_file import (
     KEPT,
     TOLD,
+    TOLD_OF,
     Checkpoint,
     checkpoints,
     read_checkpoint,
@@ -169,10 +170,13 @@ def test_a_tree_makes_only_what_the_study_has_loaded(begun, tree):
         unpacked(tree, begun[0], {})
 
 
+SAID = {name: kind() for name, kind in TOLD_OF.items()}
+
+
 @pytest.fixture
 def written(tmp_path):
     for cycle in (3, 7, 12):
-        told = {"state": {"number": cycle}}
+        told = {**SAID, "state": {"number": cycle}}
         write_checkpoint(tmp_path, Checkpoint(cycle, told, {"a0": np.arange(50.0) + cycle, "a1": np.array(cycle)}))
     return tmp_path
 
@@ -233,6 +237,14 @@ def test_a_checkpoint_of_another_version_is_refused(written):
         np.lib.format.write_array(stream, np.frombuffer(text, dtype=np.uint8))
     with pytest.raises(CheckpointError, match="version 99, expected 'dafw checkpoint' of version 1"):
         read_checkpoint(path)
+
+
+@pytest.mark.parametrize("name", TOLD_OF)
+def test_a_checkpoint_that_does_not_say_everything_is_refused(name, tmp_path):
+    write_checkpoint(tmp_path, Checkpoint(1, {**SAID, name: None}, {}))
+    if name != "cycle":  # it is written in any case
+        with pytest.raises(CheckpointError, match=f"is damaged .it does not say its {name}"):
+            read_checkpoint(checkpoints(tmp_path)[0])
 
 
 def test_a_journal_is_read_up_to_a_length_and_goes_on_there(tmp_path):

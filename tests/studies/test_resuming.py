@@ -105,6 +105,16 @@ def unfinished(tmp_path, monkeypatch):
     return study, folder
 
 
+def test_a_run_can_go_on_without_further_checkpoints(tmp_path, monkeypatch):
+    study, folder = lorenz96(EnKS(window=3), record_fields="ends"), tmp_path / "run"
+    killed(monkeypatch, lambda: run_study(study, folder), 6)
+    never = replace(study, checkpoint=CheckpointPlan(every=None))
+    assert run_study(never, folder, resume=True)["resumed_after"] == [5]
+    run_study(never, tmp_path / "whole")
+    require_same(tmp_path / "whole", folder)
+    assert not (folder / FOLDER).exists()
+
+
 def test_a_run_without_a_checkpoint_starts_again(tmp_path, monkeypatch):
     study, folder = lorenz96(ETKF(), checkpoint=CheckpointPlan()), tmp_path / "run"
     killed(monkeypatch, lambda: run_study(study, folder), 4)

@@ -10,6 +10,7 @@ import json
 import os
 import re
 import zipfile
+import zlib
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -27,6 +28,17 @@ FORMAT, VERSION = "dafw checkpoint", 1
 KEPT = 2
 """How many checkpoints are kept."""
 TOLD = "told"
+TOLD_OF: Mapping[str, type] = {
+    **dict.fromkeys(("configuration", "versions", "pinned", "journals", "summary", "state"), dict),
+    "start": str,
+    "cycle": int,
+}
+"""What a checkpoint says at least, and of which type."""
+FAILURES = (
+    *(OSError, ValueError, LookupError, TypeError, EOFError, zipfile.BadZipFile, NotImplementedError),
+    *(RecursionError, MemoryError, zlib.error),
+)
+"""What reading a damaged file may raise."""
 NAME = re.compile(r"state-(\d+)\.npz")
 
 
@@ -72,11 +84,13 @@ def read_checkpoint(path: Path) -> Checkpoint:
                         raise CheckpointError(f"{path}: is damaged ({entry} is longer than its array)")
         told = json.loads(arrays.pop(TOLD).tobytes())
         form, version, cycle = told["format"], told["version"], told["cycle"]
-    except (OSError, ValueError, LookupError, TypeError, EOFError, zipfile.BadZipFile, NotImplementedError) as error:
+    except FAILURES as error:
         raise CheckpointError(f"{path}: is damaged ({type(error).__name__}: {error})") from error
     if (form, version) != (FORMAT, VERSION):
         raise CheckpointError(f"{path}: is a '{form}' of version {version}, expected '{FORMAT}' of version {VERSION}")
-    return Checkpoint(int(cycle), told, arrays)
+    if wrong := [name for name, kind in TOLD_OF.items() if not isinstance(told.get(name), kind)]:
+        raise CheckpointError(f"{path}: is damaged (it does not say its {' and its '.join(wrong)})")
+    return Checkpoint(cycle, told, arrays)
 
 
 def _on_disk(folder: Path) -> None:

@@ -21,6 +21,8 @@ import numpy as np
 
 from dafw.core.errors import CheckpointError
 
+ROWS, FORECASTS = "rows.journal", "forecasts.journal"
+"""The journals of run.nc and of forecast.nc."""
 HEAD = struct.Struct("<IQI")
 """Before each entry: the lengths of its text and of its arrays in bytes, and their checksum."""
 
@@ -81,5 +83,5 @@ def entries(path: Path, length: int) -> Iterator[tuple[dict[str, Any], dict[str,
                     arrays[name] = array.reshape(shape)
                     place += array.nbytes
                 yield text["told"], arrays
-    except (OSError, ValueError, LookupError, TypeError, struct.error) as error:
+    except (OSError, ValueError, LookupError, TypeError, RecursionError, MemoryError, struct.error) as error:
         raise CheckpointError(f"{path}: is damaged ({type(error).__name__}: {error})") from error
