@@ -28,6 +28,8 @@ from pathlib import Path
 LIBRARIES = (
     "netCDF4",
     "xarray",
+    "dask.array",  # xarray looks for both when it opens a file
+    "pint",
     "scipy.optimize",
     "scipy.sparse.linalg",
     "scipy.spatial",

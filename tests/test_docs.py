@@ -194,10 +194,10 @@ def variables(tmp_path_factory):
 def try_page(page: Path, folder: Path, variables: dict[str, str]) -> int:
     """Run the blocks of a page in an empty folder; return how many commands and programs there were.
 
-    The commands of the README are processes of their own, as a user's are; those of other pages are copies of one that
-    has imported the libraries (prepared.py).
+    They are copies of a process that has imported the libraries (prepared.py); tests/test_acme.py and tests/commands
+    start processes of their own, as users do.
     """
-    programs = None if page == ROOT / "README.md" else prepared()
+    programs = prepared()
     printed, count, literal = "", 0, True
     for number, block in enumerate(blocks(page)):
         place = f"{page.relative_to(ROOT)}, line {block.line}"

@@ -168,7 +168,7 @@ def _launch(
 
     try:
         if sweep is None:
-            hydra.run(name, job, [*overrides, "hydra.mode=RUN"])
+            hydra.run(name, job, overrides)  # the words that were checked, so that they are not composed again
         else:
             hydra.multirun(name, job, [*overrides, _override("hydra.sweep.dir", sweep), "hydra.mode=MULTIRUN"])
     except HydraException as error:

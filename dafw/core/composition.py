@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -47,21 +48,23 @@ def config_folder() -> Path:
 
 
 def register_schemas() -> None:
-    """Tell Hydra about the study and every plugin that can be imported."""
+    """Tell Hydra about the study and every plugin that can be imported, unless its store, one a process, has them."""
     store = ConfigStore.instance()
-    store.store(name="study", node=schema(StudyOptions))
+    if "study.yaml" not in store.repo:
+        store.store(name="study", node=schema(StudyOptions))
     for registered in registry().plugins():
-        try:
-            node = _node(registered.spec.kind, registered.spec.name)
-        except PluginError:
-            continue  # asked for by name, the registry says why it is missing
-        store.store(group=registered.spec.kind, name=registered.spec.name, node=node, provider=registered.package)
+        kind, name = registered.spec.kind, registered.spec.name
+        if f"{name}.yaml" in store.repo.get(kind, {}):
+            continue
+        # A plugin that cannot be composed is left out: asked for by name, it says why.
+        with suppress(PluginError, OmegaConfBaseException):
+            store.store(group=kind, name=name, node=registry().schema(kind, name), provider=registered.package)
 
 
-def _node(kind: str, name: str) -> Any:
-    """Return the schema that Hydra composes for a plugin; raises PluginError if its options cannot be composed."""
+def _require_composable(kind: str, name: str) -> None:
+    """Raise PluginError if a plugin does not exist or its options cannot be composed."""
     try:
-        return OmegaConf.structured(registry().schema(kind, name))
+        OmegaConf.structured(registry().schema(kind, name))
     except OmegaConfBaseException as error:
         reason = str(error).splitlines()[0]
         raise PluginError(f"{kind} '{name}': its options cannot be composed by Hydra: {reason}") from error
@@ -226,7 +229,7 @@ def _unknown_choice(group: str, name: str, there_are: Sequence[str] | None) -> s
     """Return a message that lists the available choices: plugins from the registry, everything else from Hydra."""
     if group in KINDS:
         try:
-            _node(group, name)
+            _require_composable(group, name)
         except PluginError as error:
             shipped = sorted(set(there_are or ()) - set(registry().names(group)))
             return str(error) + (f"; configured ones: {', '.join(shipped)}" if shipped else "")

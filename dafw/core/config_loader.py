@@ -38,6 +38,7 @@ ROLES = ("truth", "free")
 class StudyLoader(ConfigLoaderImpl):
     """Composes a study. Hydra calls it for everything it does: a run, the jobs of a multirun, ``--cfg``."""
 
+    _last: tuple[object, DictConfig] | None = None
     _multirun = False
     _appended: Container[str] = ()
     _named_roles: Mapping[str, str]
@@ -51,11 +52,17 @@ class StudyLoader(ConfigLoaderImpl):
         from_shell: bool = True,
         validate_sweep_overrides: bool = True,
     ) -> DictConfig:
-        """Compose a configuration; raises Hydra's and OmegaConf's exceptions."""
-        one = copy.copy(self)  # state found while composing must not leak into the next composition
-        one._multirun = run_mode == RunMode.MULTIRUN
-        arguments = (config_name, overrides, run_mode, from_shell, validate_sweep_overrides)
-        return super(StudyLoader, one).load_configuration(*arguments)
+        """Compose a configuration; raises Hydra's and OmegaConf's exceptions.
+
+        The same request as the last one is not composed again: ``dafw run`` checks a study, then Hydra runs it.
+        """
+        asked = (config_name, tuple(overrides), run_mode, validate_sweep_overrides)
+        if self._last is None or self._last[0] != asked:
+            one = copy.copy(self)  # state found while composing must not leak into the next composition
+            one._multirun = run_mode == RunMode.MULTIRUN
+            arguments = (config_name, overrides, run_mode, from_shell, validate_sweep_overrides)
+            self._last = asked, super(StudyLoader, one).load_configuration(*arguments)
+        return copy.deepcopy(self._last[1])
 
     def _parse_overrides_and_create_caching_repo(
         self, config_name: str | None, overrides: list[str]

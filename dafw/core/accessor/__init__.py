@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import xarray
 from xarray import DataArray, Dataset
 
-from dafw.core.accessor import contour_lines, innovations, moments, places, scores, table
+from dafw.core.accessor import contour_lines, innovations, moments, places, scores, table, zarr_store
 
 if TYPE_CHECKING:
     import pandas
@@ -114,6 +114,14 @@ class RunAccessor:
         or not at all. Empty contours are left out.
         """
         return contour_lines.to_geojson(self._run, Path(path), field, levels, time, filled=filled)
+
+    def to_zarr(self, path: str | Path, chunks: str = "maps") -> Path:
+        """Write the run, or the sweep, as a zarr store into the folder ``path``, and return it.
+
+        ``chunks`` suit how it will be read: ``maps`` at a time, or ``series`` at a node. It appears complete or not at
+        all. Needs zarr: ``pip install 'dafw[zarr]'``.
+        """
+        return zarr_store.to_zarr(self._run, Path(path), chunks)
 
     def surprise(self) -> DataArray:
         """Return (time, observation) the innovations over the standard deviations that the forecast expects of them.

@@ -1,19 +1,21 @@
-"""How likely a sequence of readings is, if sensors have unknown, drifting backgrounds and a source may be off.
+"""How likely a sequence of readings is, if sensors have unknown backgrounds and gains and a source may be off.
 
 A prediction h (above background, of a source that is on) and the reading y of sensor i at time t are related by ::
 
-    y_i(t) = b_i(t) + o(t) h_i(t) + error,    b_i(t + T) = b_i(t) + drift sqrt(T) xi,    o = 0 or 1
+    y_i(t) = b_i(t) + g_i o(t) h_i(t) + error,    b_i(t + T) = b_i(t) + drift sqrt(T) xi,    o = 0 or 1
 
-with standard normal xi and b_i(0) normal. o changes with the chance 1 - exp(-T / on_off) in a time T; at first both are
-equally likely. Given o, every b_i has a Kalman filter of its own. Over the two values of o the filters are mixed before
-each step, as in the interacting multiple model filter (Blom and Bar-Shalom 1988, doi:10.1109/9.1299): so neither
-backgrounds nor the times of a leak's beginning and end need be sampled. The error has the variance ::
+with standard normal xi and b_i(0) normal. The gain g_i is constant and normal around 1; it is 1 where ``gain_sd`` is 0.
+o changes with the chance 1 - exp(-T / on_off) in a time T; at first both are equally likely. Given o, every pair (b_i,
+g_i) has a Kalman filter of its own. Over the two values of o the filters are mixed before each step, as in the
+interacting multiple model filter (Blom and Bar-Shalom 1988, doi:10.1109/9.1299): so neither backgrounds and gains nor
+the times of a leak's beginning and end need be sampled. The error has the variance ::
 
     s^2 = R + a^2 + r^2 (o h_i)^2 + r^2 (mean of o h over the sensors)^2
 
 The last term is there because a wind that is a little off moves a plume from one sensor to the next. Errors have a
-Student t distribution if ``degrees_of_freedom`` is finite. Then a reading moves the background as much as its weight
-(nu + 1) / (nu + z^2) says, at most 1, with z the misfit over its standard deviation: an outlier hardly moves it.
+Student t distribution if ``degrees_of_freedom`` is finite. Then a reading moves background and gain as much as its
+weight (nu + 1) / (nu + z^2) says, at most 1, with z the misfit over its standard deviation: an outlier hardly moves
+them.
 
 The loops are compiled by numba.
 """
@@ -40,6 +42,7 @@ class Judged:
 
     fit         (P, S) log likelihood
     background  (P, S, n) of every sensor after the last reading
+    gain        (P, S, n) of every sensor after the last reading
     on          (P, S) probability that the source is on
     expected    (P, S, n) what every sensor was expected to read in the last cycle, before it did
     sensors     (n,) their names
@@ -47,6 +50,7 @@ class Judged:
 
     fit: Array
     background: Array
+    gain: Array
     on: Array
     expected: Array
     sensors: tuple[str, ...]
@@ -63,6 +67,7 @@ def judged(
     degrees: float,
     power: float,
     sensors: Sequence[str] = (),
+    gain_sd: float = 0.0,
 ) -> Judged:
     """Return what the readings of all cycles say of candidates.
 
@@ -77,6 +82,7 @@ def judged(
         degrees: of freedom of Student's t distribution; infinite: normal errors.
         power: of the likelihood.
         sensors: names of those that come first, whether they have read anything or not.
+        gain_sd: standard deviation of a gain at first.
     """
     names = {name: place for place, name in enumerate(sensors)}
     sensor, number, times = [], [], [0.0]
@@ -94,7 +100,7 @@ def judged(
     constant = 0.0
     if np.isfinite(degrees):
         constant = lgamma(0.5 * (degrees + 1.0)) - lgamma(0.5 * degrees) - 0.5 * np.log(degrees * np.pi)
-    fit, background, on, expected = _sequence(
+    fit, background, gain, on, expected = _sequence(
         predicted,
         np.concatenate([one.values for one in observations]),
         np.concatenate(variances),
@@ -102,10 +108,10 @@ def judged(
         np.searchsorted(np.array(number), np.arange(len(times))),
         np.diff(times),
         sizes,
-        np.array([mean, sd**2, drift**2, on_off, degrees, power, constant]),
+        np.array([mean, sd**2, drift**2, gain_sd**2, on_off, degrees, power, constant]),
         len(names),
     )
-    return Judged(fit, background, on, expected, tuple(names))
+    return Judged(fit, background, gain, on, expected, tuple(names))
 
 
 @njit(cache=True)
@@ -119,25 +125,26 @@ def _sequence(
     sizes: np.ndarray,
     numbers: np.ndarray,
     n_sensors: int,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return fit (P, S), background (P, S, n), on (P, S) and expected (P, S, n).
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return fit (P, S), background and gain (P, S, n), on (P, S) and expected (P, S, n).
 
     The readings of cycle c are those from ``begins[c]`` to before ``begins[c + 1]``.
     """
-    mean, variance, drift, on_off, degrees, power, constant = numbers
+    mean, variance, drift, gain_variance, on_off, degrees, power, constant = numbers
     n_candidates, n_sizes = predicted.shape[0], sizes.shape[0]
     fit = np.zeros((n_candidates, n_sizes))
-    background = np.zeros((n_candidates, n_sizes, n_sensors))
+    background, gain = np.zeros((n_candidates, n_sizes, n_sensors)), np.zeros((n_candidates, n_sizes, n_sensors))
     expected = np.full((n_candidates, n_sizes, n_sensors), np.nan)
     on = np.zeros((n_candidates, n_sizes))
     half_log = 0.5 * np.log(2.0 * np.pi)
-    b, v = np.empty((2, n_sensors)), np.empty((2, n_sensors))
-    mixed_b, mixed_v = np.empty((2, n_sensors)), np.empty((2, n_sensors))
+    # For both values of o and each sensor: background, gain, their variances and covariance.
+    b, g, bb, gg, bg = np.empty((5, 2, n_sensors))
+    mixed_b, mixed_g, mixed_bb, mixed_gg, mixed_bg = np.empty((5, 2, n_sensors))
     chance, before, density = np.empty(2), np.empty(2), np.empty(2)
     for p in range(n_candidates):
         for size in range(n_sizes):
             absolute, relative = sizes[size, 0] ** 2, sizes[size, 1] ** 2
-            b[:], v[:] = mean, variance
+            b[:], g[:], bb[:], gg[:], bg[:] = mean, 1.0, variance, gain_variance, 0.0
             chance[0] = 0.0 if np.isinf(on_off) else 0.5
             chance[1] = 1.0 - chance[0]
             total = 0.0
@@ -149,36 +156,44 @@ def _sequence(
                     before[o] = stay + come
                     share = stay / before[o] if before[o] > 0.0 else 1.0
                     for i in range(n_sensors):
-                        centre = share * b[o, i] + (1.0 - share) * b[1 - o, i]
-                        mixed_b[o, i] = centre
-                        mixed_v[o, i] = (
-                            share * (v[o, i] + (b[o, i] - centre) ** 2)
-                            + (1.0 - share) * (v[1 - o, i] + (b[1 - o, i] - centre) ** 2)
-                            + drift * spans[cycle]
-                        )
+                        rest = 1.0 - share
+                        mixed_b[o, i] = share * b[o, i] + rest * b[1 - o, i]
+                        mixed_g[o, i] = share * g[o, i] + rest * g[1 - o, i]
+                        b_1, b_2 = b[o, i] - mixed_b[o, i], b[1 - o, i] - mixed_b[o, i]
+                        g_1, g_2 = g[o, i] - mixed_g[o, i], g[1 - o, i] - mixed_g[o, i]
+                        mixed_bb[o, i] = share * (bb[o, i] + b_1**2) + rest * (bb[1 - o, i] + b_2**2)
+                        mixed_bb[o, i] += drift * spans[cycle]
+                        mixed_gg[o, i] = share * (gg[o, i] + g_1**2) + rest * (gg[1 - o, i] + g_2**2)
+                        mixed_bg[o, i] = share * (bg[o, i] + b_1 * g_1) + rest * (bg[1 - o, i] + b_2 * g_2)
                 usual = 0.0
                 for m in range(first, last):
                     usual += predicted[p, m] / (last - first)
-                b[:], v[:] = mixed_b, mixed_v
+                b[:], g[:], bb[:], gg[:], bg[:] = mixed_b, mixed_g, mixed_bb, mixed_gg, mixed_bg
                 for o in range(2):
                     density[o] = 0.0
                     for m in range(first, last):
                         i, h = sensor[m], o * predicted[p, m]
                         error = variances[m] + absolute + relative * (h**2 + (o * usual) ** 2)
-                        missed = values[m] - b[o, i] - h
-                        scale = v[o, i] + error
+                        missed = values[m] - b[o, i] - g[o, i] * h
+                        of_gain = h * (2.0 * bg[o, i] + h * gg[o, i])
+                        scale = bb[o, i] + of_gain + error
                         z = missed**2 / scale
                         if np.isinf(degrees):
                             density[o] += -0.5 * z - 0.5 * np.log(scale) - half_log
                         else:
                             density[o] += constant - 0.5 * np.log(scale) - 0.5 * (degrees + 1.0) * np.log1p(z / degrees)
                             error *= max(1.0, (degrees + z) / (degrees + 1.0))
-                        gain = v[o, i] / (v[o, i] + error)
+                            scale = bb[o, i] + of_gain + error
                         if cycle == spans.size - 1:
-                            seen = before[o] * (mixed_b[o, i] + h)
+                            seen = before[o] * (mixed_b[o, i] + mixed_g[o, i] * h)
                             expected[p, size, i] = seen if o == 0 else expected[p, size, i] + seen
-                        b[o, i] += gain * missed
-                        v[o, i] *= 1.0 - gain
+                        with_g = bg[o, i] + h * gg[o, i]
+                        to_b, to_g = (bb[o, i] + h * bg[o, i]) / scale, with_g / scale
+                        b[o, i] += to_b * missed
+                        g[o, i] += to_g * missed
+                        bb[o, i] = bb[o, i] * (1.0 - to_b) - to_b * h * bg[o, i]
+                        bg[o, i] -= to_b * with_g
+                        gg[o, i] -= to_g * with_g
                     density[o] *= power
                 largest = max(density[0], density[1]) if before[0] > 0.0 else density[1]
                 for o in range(2):
@@ -189,4 +204,5 @@ def _sequence(
             fit[p, size], on[p, size] = total, chance[1]
             for i in range(n_sensors):
                 background[p, size, i] = chance[0] * b[0, i] + chance[1] * b[1, i]
-    return fit, background, on, expected
+                gain[p, size, i] = chance[0] * g[0, i] + chance[1] * g[1, i]
+    return fit, background, gain, on, expected

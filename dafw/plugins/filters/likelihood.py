@@ -10,8 +10,9 @@ in a twin experiment whose truth is the model, large where the model cannot foll
 
 (y - h) / s has a Student t distribution of ``degrees_of_freedom``, or a normal one. Readings a second apart share the
 model's error: each counts only as ``independence`` of a reading, that is, the likelihood is raised to that power.
-With ``background.sd`` every sensor has an unknown background that drifts, and the source may be on and off: the
-likelihood is then that of the whole sequence of readings (background.py), whose errors are relative to the prediction.
+With ``background.sd`` every sensor has an unknown background that drifts, and may have an unknown gain; the source may
+be on and off. The likelihood is then that of the whole sequence of readings (background.py), whose errors are relative
+to the prediction.
 
 A reading below ``detection_limit``, or below the limit that it has itself, says only that the truth is below it.
 """
@@ -45,6 +46,11 @@ class Background:
     mean: float = option(0.0, "first guess of a sensor's background")
     sd: float | None = option(None, "its standard deviation; null: there is no background", above=0.0)
     drift: float = option(0.0, "standard deviation of its change in a second; grows with the root of time", minimum=0.0)
+    gain_sd: float | None = option(
+        None,
+        "standard deviation of each sensor's gain, a factor around 1 on the gas of the source; null: it is 1",
+        above=0.0,
+    )
     on_off: float | None = option(
         None, "mean seconds from one change of the source, on or off, to the next; null: it is always on", above=0.0
     )
@@ -75,8 +81,11 @@ class Likelihood:
                 raise ConfigurationError(f"likelihood.{name} must list one or more sizes of at least 0, got {sizes}")
 
         if self.background.sd is None:
-            if self.background.on_off is not None:
-                raise ConfigurationError("likelihood.background.on_off needs background.sd, the sensors' backgrounds")
+            for name in ("on_off", "gain_sd"):
+                if getattr(self.background, name) is not None:
+                    raise ConfigurationError(
+                        f"likelihood.background.{name} needs background.sd, the sensors' backgrounds"
+                    )
             return
         if self.detection_limit is not None:
             raise ConfigurationError(
@@ -104,10 +113,11 @@ class Likelihood:
             np.inf if degrees is None else degrees,
             self.independence,
             options.sensors,
+            options.gain_sd or 0.0,
         )
 
     def seen(self, window: Window, predicted: Array, fit: Array, weights: Array) -> dict[str, Diagnostic]:
-        """Return averages over weighted candidates, for the record: backgrounds, whether the source is on, readings.
+        """Return averages over weighted candidates, for the record: of backgrounds, gains, the source, readings.
 
         The arguments are as in ``Candidates``, with ``weights`` (P,). Without backgrounds there is nothing.
         """
@@ -117,7 +127,11 @@ class Likelihood:
         share = np.exp(fit - np.logaddexp.reduce(fit, axis=1, keepdims=True)) * weights[:, np.newaxis]
         background, expected = np.tensordot(share, found.background, 2), np.tensordot(share, found.expected, 2)
         names = ", ".join(found.sensors)
-        return {
+        gains = {}
+        if self.background.gain_sd is not None:
+            gain = np.tensordot(share, found.gain, 2)
+            gains["gain"] = Diagnostic(gain, ("with_background",), long_name=f"gain of the sensors {names}")
+        return gains | {
             "background": Diagnostic(background, ("with_background",), long_name=f"background of the sensors {names}"),
             "expected": Diagnostic(
                 expected, ("with_background",), long_name=f"what was expected of the sensors {names}"

@@ -1,4 +1,4 @@
-"""The likelihood of a sequence with unknown backgrounds, and of a source that is on and off, against exact answers."""
+"""The likelihood of a sequence with unknown backgrounds and gains, of a source on and off, against exact answers."""
 
 from __future__ import annotations
 
@@ -62,6 +62,31 @@ def test_the_background_is_the_mean_given_all_readings():
         now = np.where([one == name for one in names], 0.25 + 0.04 * np.minimum(when, TIMES[-1]), 0.0)
         expected = [1.8 + now @ gain @ (VALUES - 1.8 - one) for one in PREDICTED]
         np.testing.assert_allclose(found.background[:, 0, sensor], expected, rtol=1e-10)
+
+
+def test_a_gain_is_one_more_number_of_a_joint_normal_distribution():
+    names = [name for group in SENSORS for name in group]
+    when = np.repeat(TIMES, [len(group) for group in SENSORS])
+    same = np.equal.outer(names, names)
+    walk = np.where(same, 0.5**2 + 0.2**2 * np.minimum.outer(when, when), 0.0)
+    found = judged(cycles(VALUES), PREDICTED, SIZES[:1], 1.8, 0.5, 0.2, np.inf, np.inf, 1.0, gain_sd=0.3)
+    for row, one in enumerate(PREDICTED):
+        covariance = walk + np.where(same, 0.3**2 * np.outer(one, one), 0.0) + R * np.eye(COUNT)
+        assert found.fit[row, 0] == pytest.approx(multivariate_normal(1.8 + one, covariance).logpdf(VALUES), rel=1e-10)
+        for sensor, name in enumerate("ab"):
+            with_gain = np.where([other == name for other in names], 0.3**2 * one, 0.0)
+            expected = 1.0 + with_gain @ np.linalg.solve(covariance, VALUES - 1.8 - one)
+            assert found.gain[row, 0, sensor] == pytest.approx(expected, rel=1e-10)
+
+
+def test_a_gain_is_learnt_while_the_source_is_on():
+    """A sensor that shows 1.5 times the gas; without gas it says nothing of its gain."""
+    predicted = np.array([[0.0, 2.0, 3.0, 0.0, 1.0], [0.0, 0.0, 0.0, 0.0, 0.0]])
+    one = cycles(2.0 + 1.5 * predicted[0], [("a",)] * 5, variance=1e-6)
+    found = judged(one, predicted, SIZES[:1], 2.0, 0.01, 0.0, 1e3, 4.0, 1.0, gain_sd=0.5)
+    assert found.gain[0, 0, 0] == pytest.approx(1.5, abs=0.01) and found.gain[1, 0, 0] == 1.0
+    known = judged(one, predicted, SIZES[:1], 2.0, 0.01, 0.0, 1e3, 4.0, 1.0)
+    assert (known.gain == 1.0).all() and found.fit[0, 0] > known.fit[0, 0] + 5.0
 
 
 def test_a_source_that_is_on_and_off_is_the_sum_over_all_sequences():
@@ -135,6 +160,7 @@ def test_sensors_that_begin_late_have_their_place():
     ("options", "said"),
     [
         ({"background": Background(on_off=5.0)}, "on_off needs background.sd"),
+        ({"background": Background(gain_sd=0.2)}, "gain_sd needs background.sd"),
         ({"background": Background(sd=1.0), "detection_limit": 3.0}, "detection_limit cannot be used"),
     ],
 )
