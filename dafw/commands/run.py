@@ -221,7 +221,7 @@ def _run_job(config: DictConfig, folder: Path, communicator: Any, resume: bool) 
         composed = study_part(config)
         study = study_from(composed)
         resume = resume or composed["resume"] == "auto"
-        if resume and is_complete(folder, study):
+        if resume and communicator is None and is_complete(folder, study):
             return 0
         summary = run_study(study, folder, communicator, resume=resume)
     except Interrupted as stop:

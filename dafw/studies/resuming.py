@@ -54,15 +54,17 @@ def holds_run(folder: Path) -> bool:
 def is_complete(folder: Path, study: Study) -> bool:
     """Return whether a folder holds the complete run of a study.
 
-    Raises RunError if it holds a run of another configuration.
+    Raises RunError if it holds a run of another configuration, or a complete one of which it is not known.
     """
     if not holds_run(folder):
         return False
     summary = summary_of(folder)
-    known = summary.get("configuration")
+    known, complete = summary.get("configuration"), summary.get("status") == "complete"
+    if not known and complete:  # of an older version: its configuration must be the same word for word
+        known = digest(compared(configuration_of(folder)))
     if known and known != digest(described(study)):
         raise RunError(f"{folder}: {_other(folder, study)}; {OTHER}")
-    return summary.get("status") == "complete"
+    return complete
 
 
 def last_checkpoint(folder: Path, study: Study) -> Checkpoint | None:

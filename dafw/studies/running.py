@@ -63,6 +63,8 @@ def run_study(study: Study, folder: Path, communicator: Any = None, *, resume: b
     if not goes_on:
         refuse_run(folder)
     elif is_complete(folder, study):
+        if communicator is not None:  # the other ranks wait: this must not end well
+            raise RunError(f"{folder}: another process has completed this run meanwhile")
         return summary_of(folder)
     with ExitStack() as stack:
         if goes_on:  # a wrong request to go on raises before the parts are built, which may take long

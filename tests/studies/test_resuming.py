@@ -30,7 +30,7 @@ from dafw.plugins.policies.stationary import Stationary
 from dafw.plugins.readings.twin import Twin
 from dafw.studies.from_python import keep_configuration
 from dafw.studies.replaying import difference_of
-from dafw.studies.resuming import LOCK, shared
+from dafw.studies.resuming import LOCK, is_complete, shared
 from dafw.studies.running import run_study
 from dafw.studies.stopping import Interrupted
 
@@ -283,6 +283,13 @@ class Rank:
         return self.sent[-1]
 
 
+def test_of_several_ranks_none_waits_for_a_run_that_somebody_else_completed(tmp_path):
+    study = lorenz96(ETKF())
+    run_study(study, tmp_path)
+    with pytest.raises(RunError, match="another process has completed this run meanwhile"):
+        run_study(study, tmp_path, Rank(0, []), resume=True)
+
+
 def test_other_ranks_are_given_the_checkpoint(unfinished):
     from dafw.core.checkpoints.checkpoint_file import read_checkpoint
 
@@ -330,6 +337,16 @@ def refused(words, capsys):
     (line,) = captured.err.strip().splitlines()
     assert captured.out == ""
     return line
+
+
+def test_a_complete_run_of_an_older_version_is_known_by_its_file(run_folder, composed):
+    run_study(study_from(composed), run_folder, resume=True)
+    known = summary_of(run_folder)
+    del known["configuration"]
+    (run_folder / "summary.json").write_text(json.dumps(known))
+    assert is_complete(run_folder, study_from(composed))
+    with pytest.raises(RunError, match="its run had members = 5, now it is 7"):
+        is_complete(run_folder, study_from({**composed, "members": 7}))
 
 
 def test_wrong_requests_are_one_line(run_folder, capsys):
