@@ -37,19 +37,20 @@ def resume_command(words: Sequence[str]) -> int:
 def _resume_run(folder: Path) -> int:
     from dafw.core.experiment import study_from
     from dafw.studies.reporting import closing_line
-    from dafw.studies.resuming import is_complete
+    from dafw.studies.resuming import is_complete, said_of_complete
     from dafw.studies.run_configuration import configuration_of, in_working_folder
     from dafw.studies.running import run_study
     from dafw.studies.stopping import Interrupted
 
     with in_working_folder(folder):
         study = study_from(configuration_of(folder))
-        was_complete = is_complete(folder, study)
-        try:
-            summary = run_study(study, folder, resume=True)
-        except Interrupted as stop:
-            raise KeyboardInterrupt(str(stop)) from stop
-        print(f"{'complete already: ' if was_complete else ''}{closing_line(study, summary)}")
+        if is_complete(folder, study):
+            print(said_of_complete(folder))
+        else:
+            try:
+                print(closing_line(study, run_study(study, folder, resume=True)))
+            except Interrupted as stop:
+                raise KeyboardInterrupt(str(stop)) from stop
     print(folder)
     return 0
 

@@ -32,11 +32,10 @@ from dafw.core.composition import (
 )
 from dafw.core.errors import ComputationError, ConfigurationError, RunError
 from dafw.core.experiment import study_from
-from dafw.core.runs import summary_of
 from dafw.core.study import Study
 from dafw.studies.following import follow_study
 from dafw.studies.reporting import closing_line
-from dafw.studies.resuming import is_complete
+from dafw.studies.resuming import is_complete, said_of_complete
 from dafw.studies.running import SHOWN_BY_BUILDING, refuse_run, run_study
 from dafw.studies.stopping import Interrupted
 
@@ -211,7 +210,7 @@ def _is_complete(folder: Path, study: Study, communicator: Any) -> bool:
     if refusal:
         raise RunError(refusal)
     if complete and (communicator is None or communicator.rank == 0):
-        print(f"complete already: {closing_line(study, summary_of(folder))}\n{folder}")
+        print(f"{said_of_complete(folder)}\n{folder}")
     return complete
 
 

@@ -67,6 +67,12 @@ def is_complete(folder: Path, study: Study) -> bool:
     return complete
 
 
+def said_of_complete(folder: Path) -> str:
+    """Return in words that a run is complete, without building its model."""
+    summary = summary_of(folder)
+    return f"{summary.get('name')}, seed {summary.get('seed')}: complete already, {summary.get('cycles')} cycles"
+
+
 def last_checkpoint(folder: Path, study: Study) -> Checkpoint | None:
     """Return the newest checkpoint of an unfinished run that is whole, with its journals; None if there is none yet.
 

@@ -327,7 +327,7 @@ def test_the_command_goes_on_and_says_what_is_complete(run_folder, composed, cap
     require_same(run_folder.with_name("whole"), run_folder)
     before = (run_folder / "run.nc").read_bytes()
     assert main(["resume", "run"]) == 0
-    assert capsys.readouterr().out.splitlines()[0] == f"complete already: {first[0]}"
+    assert capsys.readouterr().out.splitlines() == ["lorenz96, seed 0: complete already, 6 cycles", str(run_folder)]
     assert (run_folder / "run.nc").read_bytes() == before
 
 
@@ -381,7 +381,7 @@ def test_the_same_command_goes_on_with_resume_auto(run_folder, capsys):
     assert summary_of(run_folder)["resumed_after"] == [3]
     capsys.readouterr()
     assert main(command) == 0
-    assert capsys.readouterr().out.startswith("complete already: ")
+    assert capsys.readouterr().out.startswith("lorenz96, seed 0: complete already")
 
 
 def test_python_goes_on(run_folder, tmp_path):
