@@ -85,7 +85,7 @@ prepare() ( # a subshell: the command starts where the caller stands; descriptor
     # .uv/building survives an interruption: what that left behind is not taken for an environment
     if [ -e .uv/building ] || ! runs_dafw "$environment/bin/python"; then : >.uv/building; make_environment; fi
     : >.uv/building
-    say "installing the packages of requirements.lock (about 1.1 GB on disk)"
+    say "installing the packages of requirements.lock (about 1.4 GB on disk)"
     "$uv" pip install --quiet --python "$environment/bin/python" --require-hashes -r requirements.lock ||
         die 1 "the packages of requirements.lock could not be installed (see above)"
     "$uv" pip install --quiet --python "$environment/bin/python" --no-deps --no-build-isolation -e . ||

@@ -77,6 +77,8 @@ REDUCED = {
         f"dafw study leak {COARSE} {BASIS} members=4 --seeds 0 --configurations place_known",
         "one run with some 300 nodes, four members, one cycle, a basis of four winds",
     ),
+    r"^dafw study mine .*$": (rf"\g<0> {COARSE} {BASIS} --seeds 0", "one seed, and as above"),
+    r"^dafw run .*experiment=mine .*$": (rf"\g<0> {COARSE} {BASIS}", "a coarse mesh, three members, one cycle"),
     r"^dafw study forecast$": (
         f"dafw study forecast {COARSE} {BASIS} {AHEAD} --seeds 600 --configurations drawn",
         "one run with some 300 nodes, three members, one cycle, one forecast of two seconds",
@@ -127,6 +129,7 @@ REDUCED = {
 """Commands that would take long or that a test cannot run: what is run instead, and why."""
 
 OMITTED = {
+    r"^uv build |^pip install dist/": "tests/fresh.py does this without a registry",
     r"^uv pip compile ": "asks a package registry, and would write the lock file",
     r"l96\.etkf_over_dapper": "downloads DAPPER into an environment of its own",
     r"esmda\.difference_from_pyesmda": "downloads pyESMDA into an environment of its own",

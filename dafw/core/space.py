@@ -203,7 +203,7 @@ class StateSpace:
         return moved
 
     def excess(self, members: Array) -> float:
-        """Return the largest of |x| / plausible in the members (..., n): above 1 they have diverged.
+        """Return the largest of ``|x| / plausible`` in the members (..., n): above 1 they have diverged.
 
         Zero if no variable has a ``plausible`` value; NaN if a variable that has one holds NaN.
         """

@@ -55,7 +55,7 @@ class RunAccessor:
         return moments.quantile(self._run, name, q)
 
     def err(self, name: str | None = None, of: str = "belief") -> DataArray:
-        """Return ERR (time,) = |truth - estimate| / |truth| in per cent, as ``run["err"]`` for the scored variable."""
+        """Return ERR (time,): ``|truth - estimate| / |truth|`` in per cent; ``run["err"]`` for the scored variable."""
         return scores.err(self._run, name, of)
 
     def rmse(self, name: str | None = None, of: str = "belief") -> DataArray:
