@@ -117,6 +117,7 @@ REDUCED = {
         f"{BENCHMARKS} --list ",
         "the tests of the benchmarks run them in their short form; those of other sizes are the same code",
     ),
+    r"python -m benchmarks\.kills$": (f"{BENCHMARKS}.kills --kills 1", "tests/test_kills.py kills more"),
     r"python -m benchmarks\.mismatch.*$": (
         f"{BENCHMARKS}.mismatch cycles=2 members=3 {MESH} {BASIS} --truths amount_off --seeds 1000",
         "one truth, one seed, two cycles, the mesh and the basis above",

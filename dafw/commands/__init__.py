@@ -13,6 +13,8 @@ from dafw.core.errors import DafwError, is_request
 
 COMMANDS = (
     "run",
+    "resume",
+    "replay",
     "study",
     "plugins",
     "plot",
@@ -32,6 +34,8 @@ USAGE = """\
 usage: dafw COMMAND [...]
 
   run [-m] [experiment=NAME] [overrides]   run a study; -m runs every combination of the values given (a=1,2)
+  resume RUN|SWEEP|STUDY                   go on with what was stopped, killed or failed, to the same bits
+  replay RUN                               make a run again from its own file, and name the first difference
   study NAME [overrides] | --list          run a study file's configurations on many seeds, and compare them
   plugins [--json] [NAME]                  list the plugins, or the options of those with this name
   plot RUN|SWEEP ... [--out DIR]           draw the pictures of a run, or of several; --help: for print, at chosen times

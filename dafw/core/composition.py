@@ -108,6 +108,17 @@ def study_part(config: DictConfig) -> dict[str, Any]:
     return {str(key): value for key, value in values.items()}
 
 
+def require_fixed_folder(config: DictConfig, sweep: bool = False) -> None:
+    """Raise ConfigurationError if a run that may go on would have another folder each time that it is started."""
+    key = "sweep" if sweep else "run"
+    place = OmegaConf.to_container(config.hydra[key], resolve=False)
+    if isinstance(place, dict) and "${now:" in str(place.get("dir")):
+        raise ConfigurationError(
+            f"resume=auto needs a folder that is the same each time, and this one has the time in its name: "
+            f"hydra.{key}.dir=FOLDER"
+        )
+
+
 def single_runs(overrides: Sequence[str]) -> Iterator[list[str]]:
     """Expand the overrides of a multirun into those of its jobs; raises ConfigurationError."""
     try:

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from dafw.core.checkpoints.plan import CheckpointPlan
 from dafw.core.cycle import Cycle, Parts, State, advance, start
 from dafw.core.ensemble import Route, Vehicle
 from dafw.core.errors import ConfigurationError
@@ -56,6 +57,7 @@ class Study:
     record                   the variables for which run.nc keeps every member: none, parameters, all
     record_fields            the rows of run.nc that have the fields: all, or its ends, the first and the last
     forecast                 the forecasts of a run: how often, how far, of what; by default none
+    checkpoint               how often a run of the study writes a checkpoint, from which it can go on
     section                  corners [[x, y], ...] of the polyline of the section picture, in metres
     pictures                 whether a run of the study ends with its pictures
     name                     what the study is called in files, titles and messages
@@ -81,6 +83,7 @@ class Study:
     record: str = "parameters"
     record_fields: str = "all"
     forecast: ForecastPlan = field(default_factory=ForecastPlan)
+    checkpoint: CheckpointPlan = field(default_factory=CheckpointPlan)
     section: Sequence[Sequence[float]] = ()
     pictures: bool = False
     name: str = "study"
@@ -101,9 +104,15 @@ class Study:
                 wanted_kind = f"an {kind.kind}" if kind.kind[0] in "aeo" else f"a {kind.kind}"
                 raise ConfigurationError(f"a study's {role} must be {wanted_kind}, got {type(part).__name__}")
             require_options(part, part.label)
-        if not isinstance(self.forecast, ForecastPlan):
-            raise ConfigurationError(f"a study's forecast must be a ForecastPlan, got {type(self.forecast).__name__}")
-        require_options(self.forecast, "study, forecast")
+        for what, plan, wanted_plan in (
+            ("forecast", self.forecast, ForecastPlan),
+            ("checkpoint", self.checkpoint, CheckpointPlan),
+        ):
+            if not isinstance(plan, wanted_plan):
+                raise ConfigurationError(
+                    f"a study's {what} must be a {wanted_plan.__name__}, got {type(plan).__name__}"
+                )
+            require_options(plan, f"study, {what}")
         for label, value, choices in (
             ("late_readings", self.late_readings, LATE_CHOICES),
             ("record", self.record, RECORDED),
