@@ -11,10 +11,12 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from dafw.authoring.function import model_from_function
     from dafw.authoring.program import ProgramModel
+    from dafw.core.checkpoints.plan import CheckpointPlan
     from dafw.core.cycle import Cycle, Parts, State, advance
     from dafw.core.domain import Domain
     from dafw.core.ensemble import Analysis, Diagnostic, Ensemble, Forecast, Route, Step, Vehicle
     from dafw.core.errors import (
+        CheckpointError,
         ComputationError,
         ConfigurationError,
         ContractError,
@@ -49,7 +51,9 @@ _HOMES = {
     "dafw.core.ensemble": ("Analysis", "Diagnostic", "Ensemble", "Forecast", "Route", "Step", "Vehicle"),
     "dafw.core.executors": ("Executor",),
     "dafw.core.executors.batches": ("Batch", "Stepped", "step_members"),
+    "dafw.core.checkpoints.plan": ("CheckpointPlan",),
     "dafw.core.errors": (
+        "CheckpointError",
         "ComputationError",
         "ConfigurationError",
         "ContractError",
@@ -95,6 +99,8 @@ __all__ = [
     "REQUIRED",
     "Analysis",
     "Batch",
+    "CheckpointError",
+    "CheckpointPlan",
     "ComputationError",
     "ConfigurationError",
     "ContractError",

@@ -22,6 +22,7 @@ from pathlib import Path
 import pytest
 import yaml
 from fresh import ROOT, environment, prepared
+from overpass import standing_in
 
 from dafw.testing import CHECKS
 
@@ -41,6 +42,7 @@ REDUCED = {
         "",
         "tests/plugins/models/dispersion/test_mpi.py starts several processes",
     ),
+    r"^(dafw plot .*)--times 30,60": (r"\1--times 0,1", "the run has one cycle"),
     r"executor\.workers=4": ("executor.workers=2", "CI has two cores"),
     r"hydra\.launcher\.n_jobs=4": ("hydra.launcher.n_jobs=2", "CI has two cores"),
     r"^taskset -c \d+ ": ("", "a machine may have one core, or no taskset"),
@@ -121,6 +123,7 @@ REDUCED = {
         f"{BENCHMARKS} --list ",
         "the tests of the benchmarks run them in their short form; those of other sizes are the same code",
     ),
+    r"python -m benchmarks\.kills$": (f"{BENCHMARKS}.kills --kills 1", "tests/test_kills.py kills more"),
     r"python -m benchmarks\.mismatch.*$": (
         f"{BENCHMARKS}.mismatch cycles=2 members=3 {MESH} {BASIS} --truths amount_off --seeds 1000",
         "one truth, one seed, two cycles, the mesh and the basis above",
@@ -135,6 +138,7 @@ REDUCED = {
 
 OMITTED = {
     r"^dafw simulate .* &$": "needs a broker, which tests/plugins/readings/test_live_mqtt.py has",
+    r"^dafw site preview .* --serve$": "serves until Ctrl-C; tests/views/test_site_preview.py does it",
     r"^uv build |^pip install dist/": "tests/fresh.py does this without a registry",
     r"^uv pip compile ": "asks a package registry, and would write the lock file",
     r"l96\.etkf_over_dapper": "downloads DAPPER into an environment of its own",
@@ -196,8 +200,10 @@ def reduced_program(program: str) -> str:
 
 @pytest.fixture(scope="module")
 def variables(tmp_path_factory):
-    """Return the environment variables for all pages: one cache, so that a mesh is made once; no screen."""
-    return {"DAFW_CACHE": str(tmp_path_factory.mktemp("cache")), "MPLBACKEND": "Agg"}
+    """Yield the environment variables for all pages: one cache, so that a mesh is made once; no screen, no network."""
+    with standing_in() as overpass:
+        cache = str(tmp_path_factory.mktemp("cache"))
+        yield {"DAFW_CACHE": cache, "MPLBACKEND": "Agg", "DAFW_OVERPASS": overpass.address}
 
 
 def try_page(page: Path, folder: Path, variables: dict[str, str]) -> int:

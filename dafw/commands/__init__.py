@@ -13,6 +13,8 @@ from dafw.core.errors import DafwError, is_request
 
 COMMANDS = (
     "run",
+    "resume",
+    "replay",
     "study",
     "plugins",
     "plot",
@@ -22,6 +24,7 @@ COMMANDS = (
     "readings",
     "simulate",
     "score",
+    "site",
     "doctor",
     "check",
     "new-plugin",
@@ -33,15 +36,18 @@ USAGE = """\
 usage: dafw COMMAND [...]
 
   run [-m] [experiment=NAME] [overrides]   run a study; -m runs every combination of the values given (a=1,2)
+  resume RUN|SWEEP|STUDY                   go on with what was stopped, killed or failed, to the same bits
+  replay RUN                               make a run again from its own file, and name the first difference
   study NAME [overrides] | --list          run a study file's configurations on many seeds, and compare them
   plugins [--json] [NAME]                  list the plugins, or the options of those with this name
-  plot RUN|SWEEP ... [--out DIR]           draw the pictures of a run, or of several together
+  plot RUN|SWEEP ... [--out DIR]           draw the pictures of a run, or of several; --help: for print, at chosen times
   animate RUN ... [-o FILE.gif|FILE.mp4]   write an animation of the maps of a run
   report RUN|SWEEP|STUDY ... [-o FILE]     write a page in one file that plays a run, or compares many, in a browser
   watch RUN [--port N]                     serve that page on this machine while the run goes on, and follow it
   readings FILE|RUN [options] [--to FILE]  say how a file of readings would be read; write it, or a run's, anew; draw it
   simulate WORDS | dafw run WORDS          rehearse a live run: WORDS have readings=live and hydra.run.dir=DIR
   score RUN [--truth FILE]                 compare the belief of a rehearsed run with the truth
+  site fetch ... | site preview FILE ...   get buildings from OpenStreetMap; look at a site, place release and drone
   check NAME [NAME ...] | --all            hold plugins to what their interface promises
   new-plugin KIND NAME DIR                 write a package with a plugin to start from, and its test
   doctor [--json]                          say what this machine lacks, and the command that installs it

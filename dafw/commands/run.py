@@ -21,12 +21,22 @@ from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from dafw.commands import said, status_of
-from dafw.core.composition import advised, compose, explained, single_runs, study_hydra, study_part
-from dafw.core.errors import ComputationError, ConfigurationError
+from dafw.core.composition import (
+    advised,
+    compose,
+    explained,
+    quoted_override,
+    require_fixed_folder,
+    single_runs,
+    study_hydra,
+    study_part,
+)
+from dafw.core.errors import ComputationError, ConfigurationError, RunError
 from dafw.core.experiment import study_from
 from dafw.core.study import Study
 from dafw.studies.following import follow_study
 from dafw.studies.reporting import closing_line
+from dafw.studies.resuming import is_complete, said_of_complete
 from dafw.studies.running import SHOWN_BY_BUILDING, refuse_run, run_study
 from dafw.studies.stopping import Interrupted
 
@@ -34,8 +44,11 @@ STATUSES = ".status"
 """Folder in a sweep in which its jobs store their exit statuses until the sweep is done."""
 
 
-def run_command(words: Sequence[str], communicator: Any = None) -> int:
-    """Run ``dafw run WORDS``; raises DafwError. With an MPI communicator, only rank 0 writes files and prints."""
+def run_command(words: Sequence[str], communicator: Any = None, *, resume: bool = False) -> int:
+    """Run ``dafw run WORDS``; raises DafwError. With an MPI communicator, only rank 0 writes files and prints.
+
+    With ``resume`` runs that are there already are not refused: unfinished ones go on, complete ones are left alone.
+    """
     parser = get_args_parser()
     parser.error = _refuse  # type: ignore[method-assign]  # argparse would print its usage and exit
     asked = parser.parse_intermixed_args(list(words))
@@ -67,11 +80,15 @@ def run_command(words: Sequence[str], communicator: Any = None) -> int:
             raise ConfigurationError("hydra.job.chdir would move relative paths: it is not supported")
         if config.hydra.mode not in (None, RunMode.MULTIRUN if asked.multirun else RunMode.RUN):
             raise ConfigurationError("hydra.mode follows the command: dafw run -m for a multirun, dafw run for one run")
-        if not asked.multirun:
+        if not asked.multirun and config.get("resume") != "auto":
             refuse_run(Path(config.hydra.run.dir), communicator)
         try:
             composed = study_part(config)
             study = study_from(composed)
+            if composed["resume"] == "auto":
+                require_fixed_folder(config, asked.multirun)
+                if not asked.multirun and _is_complete(Path(config.hydra.run.dir).resolve(), study, communicator):
+                    return 0
             # Some errors show only when a site or a mesh is built: build once for each different one.
             place = repr([composed.get(key) for key in SHOWN_BY_BUILDING])
             if place not in placed:
@@ -85,7 +102,7 @@ def run_command(words: Sequence[str], communicator: Any = None) -> int:
         return _follow(study, communicator)
     if len({word for job in jobs for word in job if word.startswith("experiment=")}) > 1:
         overrides.append("hydra.job.config.override_dirname.exclude_keys=[]")  # else two jobs could share a folder
-    return _launch(hydra, name, overrides, sweep, len(jobs), communicator)
+    return _launch(hydra, name, overrides, sweep, len(jobs), communicator, resume)
 
 
 def _show(parser: ArgumentParser, asked: Namespace, overrides: list[str], folder: Path | None, name: str) -> int:
@@ -121,7 +138,13 @@ def _refuse(message: str) -> NoReturn:
 
 
 def _launch(
-    hydra: Hydra, name: str, overrides: list[str], sweep: Path | None, jobs: int, communicator: Any = None
+    hydra: Hydra,
+    name: str,
+    overrides: list[str],
+    sweep: Path | None,
+    jobs: int,
+    communicator: Any,
+    resume: bool,
 ) -> int:
     """Run with Hydra; return the exit status of the job, or the worst exit status of the jobs of a sweep."""
     statuses: list[int] = []
@@ -129,7 +152,7 @@ def _launch(
     def job(config: DictConfig) -> None:
         hydra_config = HydraConfig.get()
         try:
-            status = _run_job(config, Path(hydra_config.runtime.output_dir), communicator)
+            status = _run_job(config, Path(hydra_config.runtime.output_dir), communicator, resume)
         except Exception as error:
             line = said(error)
             if line is None and sweep is None:
@@ -147,7 +170,9 @@ def _launch(
         if sweep is None:
             hydra.run(name, job, overrides)  # the words that were checked, so that they are not composed again
         else:
-            hydra.multirun(name, job, [*overrides, _override("hydra.sweep.dir", sweep), "hydra.mode=MULTIRUN"])
+            hydra.multirun(
+                name, job, [*overrides, quoted_override("hydra.sweep.dir", str(sweep)), "hydra.mode=MULTIRUN"]
+            )
     except HydraException as error:
         raise explained(error) from error
     except Exception as error:
@@ -166,17 +191,35 @@ def _launch(
     return max(statuses, default=0)
 
 
-def _override(key: str, value: Path) -> str:
-    """Return an override in Hydra's grammar, quoted."""
-    quoted = str(value).replace("\\", "\\\\").replace("'", "\\'")
-    return f"{key}='{quoted}'"
+def _is_complete(folder: Path, study: Study, communicator: Any) -> bool:
+    """Return whether a folder holds the complete run of a study, and say so; raises RunError for another run.
+
+    With an MPI communicator all ranks call this, and rank 0 looks.
+    """
+    complete, refusal = False, ""
+    if communicator is None or communicator.rank == 0:
+        try:
+            complete = is_complete(folder, study)
+        except RunError as error:
+            refusal = str(error)
+    if communicator is not None:
+        complete, refusal = communicator.bcast((complete, refusal), root=0)
+    if refusal:
+        raise RunError(refusal)
+    if complete and (communicator is None or communicator.rank == 0):
+        print(f"{said_of_complete(folder)}\n{folder}")
+    return complete
 
 
-def _run_job(config: DictConfig, folder: Path, communicator: Any) -> int:
+def _run_job(config: DictConfig, folder: Path, communicator: Any, resume: bool) -> int:
     """Run one study into its folder, print how it ended, and return the exit status."""
     try:
-        study = study_from(study_part(config))
-        summary = run_study(study, folder, communicator)
+        composed = study_part(config)
+        study = study_from(composed)
+        resume = resume or composed["resume"] == "auto"
+        if resume and communicator is None and is_complete(folder, study):
+            return 0
+        summary = run_study(study, folder, communicator, resume=resume)
     except Interrupted as stop:
         raise KeyboardInterrupt(str(stop)) from stop
     print(closing_line(study, summary))

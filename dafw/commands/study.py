@@ -16,8 +16,11 @@ NAMED = 10
 """How many failed runs are named on standard error; all are in summary.json."""
 
 
-def study_command(words: Sequence[str]) -> int:
-    """Run what is missing of a study and write its results; raises DafwError. Exit status 1 if runs failed."""
+def study_command(words: Sequence[str], *, resumes: bool = False) -> int:
+    """Run what is missing of a study and write its results; raises DafwError. Exit status 1 if runs failed.
+
+    With ``resumes`` it says before and afterwards which runs are not complete.
+    """
     asked = _parser().parse_intermixed_args(list(words))
     more = Path(asked.config_dir).resolve() if asked.config_dir else None
     if more is not None and not more.is_dir():
@@ -29,9 +32,10 @@ def study_command(words: Sequence[str]) -> int:
             return _list_studies(more)
         raise ConfigurationError("study: expected the name of a study; dafw study --list lists them")
     # Here, because they load Hydra, which --help does not need.
-    from dafw.studies.many_runs import run_missing, statuses
+    from dafw.studies.failures import counted, failure_table
+    from dafw.studies.many_runs import run_folder, run_missing, statuses
     from dafw.studies.results import write_results
-    from dafw.studies.study_files import load_study, parse_seeds
+    from dafw.studies.study_files import load_study, parse_seeds, runs_of
 
     whole = load_study(asked.name, more, asked.overrides)
     if asked.seeds is not None:
@@ -44,12 +48,27 @@ def study_command(words: Sequence[str]) -> int:
         if not any(status == "complete" for status in statuses(study, folder).values()):
             raise ConfigurationError(f"{folder}: no run of this study is complete: there is nothing to report")
     else:
-        run_missing(study, folder, whole=whole, more=more, workers=asked.workers, retry=asked.retry)
+        places = [(f"{one.name}, seed {seed}", run_folder(folder, one, seed)) for one, seed in runs_of(study)]
+        if resumes:
+            print(counted([place for _, place in places]))
+        command = _command_of(words)
+        run_missing(study, folder, whole=whole, more=more, workers=asked.workers, retry=asked.retry, command=command)
+        if resumes and (table := failure_table(places)):
+            print(table)
     summary = write_results(study, folder, pictures=not asked.no_pictures)
     print(summary["table"])
     _say_failures(summary)
     print(folder)
     return 1 if summary["n_failed"] else 0
+
+
+def _command_of(words: Sequence[str]) -> dict[str, Any]:
+    """Return a command as the folder of its study keeps it: without the folder, and where it was given."""
+    parser = Parser(add_help=False, allow_abbrev=False)
+    parser.add_argument("--folder")
+    parser.add_argument("--retry", action="store_true")
+    _, others = parser.parse_known_args(list(words))
+    return {"words": others, "working_folder": str(Path.cwd())}
 
 
 def _parser() -> Parser:

@@ -108,6 +108,17 @@ def study_part(config: DictConfig) -> dict[str, Any]:
     return {str(key): value for key, value in values.items()}
 
 
+def require_fixed_folder(config: DictConfig, sweep: bool = False) -> None:
+    """Raise ConfigurationError if a run that may go on would have another folder each time that it is started."""
+    key = "sweep" if sweep else "run"
+    place = OmegaConf.to_container(config.hydra[key], resolve=False)
+    if isinstance(place, dict) and "${now:" in str(place.get("dir")):
+        raise ConfigurationError(
+            f"resume=auto needs a folder that is the same each time, and this one has the time in its name: "
+            f"hydra.{key}.dir=FOLDER"
+        )
+
+
 def single_runs(overrides: Sequence[str]) -> Iterator[list[str]]:
     """Expand the overrides of a multirun into those of its jobs; raises ConfigurationError."""
     try:
@@ -121,6 +132,28 @@ def single_runs(overrides: Sequence[str]) -> Iterator[list[str]]:
         elif not override.is_sweep_override():
             choices.append([str(override.input_line)])
     yield from (list(job) for job in product(*choices))
+
+
+def quoted_override(key: str, value: str) -> str:
+    """Return an override that sets an option to a text, quoted if need be in Hydra's grammar.
+
+    Raises ConfigurationError if that grammar cannot say it.
+
+    >>> quoted_override("model.site.file", "my site.geojson")
+    "model.site.file='my site.geojson'"
+    """
+    if re.fullmatch(r"[A-Za-z_./][\w./-]*", value) and value.lower() not in ("null", "true", "false", "nan", "inf"):
+        return f"{key}={value}"
+    # A backslash stands for itself, except before a quote.
+    quoted = re.sub(r"(\\*)('|\Z)", lambda end: 2 * end[1] + (r"\'" if end[2] else ""), value)
+    override = f"{key}='{quoted}'"
+    try:
+        said = OverridesParser.create().parse_override(override).value()
+    except HydraException:
+        said = None
+    if str(said) != value or "${" in value:
+        raise ConfigurationError(f"{key}: Hydra's grammar cannot say {value!r}; give it another name")
+    return override
 
 
 def refuse_code(config: DictConfig) -> None:

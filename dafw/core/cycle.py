@@ -143,12 +143,14 @@ class _Clock:
             self.phase(self._name, self._plugin)  # ends the last one
             return
         place = f"at t = {self.time:g} s, phase '{self._name}'"
+        if not isinstance(error, Exception):
+            return
         if isinstance(error, DafwError):
-            raise type(error)(f"{place}: {error}") from error
-        if isinstance(error, Exception):
-            raise ComputationError(
-                f"{place}: {label_of(self._plugin)} raised {type(error).__name__}: {error}"
-            ) from error
+            failure = type(error)(f"{place}: {error}")
+        else:
+            failure = ComputationError(f"{place}: {label_of(self._plugin)} raised {type(error).__name__}: {error}")
+        failure.time, failure.phase = self.time, self._name
+        raise failure from error
 
 
 def start(parts: Parts, n_members: int, vehicle: Vehicle) -> State:

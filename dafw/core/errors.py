@@ -9,10 +9,16 @@ from typing import ClassVar
 
 
 class DafwError(Exception):
-    """Base of all errors that dafw raises; ``member`` is the number of the member that it is about, if any."""
+    """Base of all errors that dafw raises.
+
+    ``member`` is the number of the member that it is about, if any. ``time`` (s) and ``phase`` say where in a run it
+    was raised, if it was raised within a cycle.
+    """
 
     exit_status: ClassVar[int] = 1
     member: int | None = None
+    time: float | None = None
+    phase: str | None = None
 
     def __str__(self) -> str:
         text = super().__str__()
@@ -49,6 +55,10 @@ class RunError(RequestError):
     """A folder or file does not hold a run that can be read, or holds one that must not be overwritten."""
 
 
+class CheckpointError(RunError):
+    """A checkpoint or a journal of a run is damaged or of another version."""
+
+
 class ComputationError(DafwError):
     """A computation failed although the request was valid."""
 
@@ -67,6 +77,10 @@ class DivergenceError(ComputationError):
 
 class RecordError(ComputationError):
     """The record of a run can no longer be written, for example because the disk is full."""
+
+
+class FetchError(ComputationError):
+    """A server did not give what it was asked for."""
 
 
 class SolverError(ComputationError):

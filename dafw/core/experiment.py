@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from dafw.core.checkpoints.plan import CheckpointPlan
 from dafw.core.errors import ConfigurationError
 from dafw.core.forecasts.plan import ForecastPlan
 from dafw.core.interfaces import Model
@@ -19,6 +20,7 @@ from dafw.core.options import build, merged, option
 from dafw.core.registry import registry
 from dafw.core.study import FIELDS_RECORDED, RECORDED, Study
 
+RESUME = ("never", "auto")
 NAME = re.compile(r"[\w.-]{1,100}")
 
 
@@ -69,6 +71,12 @@ class StudyOptions:
     vehicle: VehicleOptions = field(default_factory=VehicleOptions)
     record: RecordOptions = field(default_factory=RecordOptions)
     forecast: ForecastPlan = field(default_factory=ForecastPlan)
+    checkpoint: CheckpointPlan = field(default_factory=CheckpointPlan)
+    resume: str = option(
+        "never",
+        "auto: go on if the folder holds an unfinished run of the same configuration, start otherwise",
+        choices=RESUME,
+    )
     section: list[list[float]] = option([], "corners [[x, y], ...] of the polyline of the section picture, in metres")
     advice: list[str] = option(
         [],
@@ -121,6 +129,7 @@ def study_from(config: Mapping[str, Any]) -> Study:
         section=options.section,
         forecast=options.forecast,
         advice=options.advice,
+        checkpoint=options.checkpoint,
         pictures=options.pictures,
         name=options.name,
         configuration=dict(config),

@@ -11,28 +11,33 @@ leaves a fiftieth. The others hold missing values, for which the file needs no s
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 
+from dafw.core.checkpoints.journal import Journal
 from dafw.core.cycle import PHASES, Cycle, Parts, State
 from dafw.core.diagnostics import INNOVATION, SCORES, error_of, innovation_scores, predicted_spread, ranks, scores
 from dafw.core.ensemble import Ensemble
+from dafw.core.errors import CheckpointError
 from dafw.core.observation import Observation, Selection
 from dafw.core.run_file import STAGES, RunFile
 from dafw.core.space import Array, StateSpace, Variable
 
 FLUSH_SECONDS = 0.5
+type Entries = Iterable[tuple[dict[str, Any], dict[str, Array]]]
 type Numbers = Callable[[Sequence[str]], list[int]]
 
 
 class Record:
     """Writes one run. ``with_members`` names the state variables of which every member is kept.
 
-    ``fields`` says in which rows state variables with several numbers are kept: ``all``, or the ``ends``.
+    ``fields`` says in which rows state variables with several numbers are kept: ``all``, or the ``ends``. ``state`` is
+    that at the start. A ``journal`` is told of everything that is written. ``before`` are the entries of a journal,
+    and what ``settle`` returned then: the file is made anew from them and takes its place at the end.
     """
 
     def __init__(
@@ -45,6 +50,8 @@ class Record:
         section: Array,
         attributes: Mapping[str, str | int],
         fields: str = "all",
+        journal: Journal | None = None,
+        before: tuple[Entries, Mapping[str, Array]] | None = None,
     ) -> None:
         self._space = parts.model.space
         self._has_truth, self._smooths = parts.truth is not None, parts.filter.window != 0
@@ -52,25 +59,34 @@ class Record:
         places = {one.name: _place(self._space, one) for one in self._space.variables}
         self._places = {stage: [(f"{name}_{stage}", place) for name, place in places.items()] for stage in STAGES}
         self._places["members"] = [(f"{name}_members", places[name]) for name in with_members]
+        beside = path if before is None else path.with_name(f".{path.name}.part")
+        if before is not None:
+            beside.unlink(missing_ok=True)  # a run was killed while it made the file anew
+        self._journal, self._window = journal, parts.filter.window
         self._file = RunFile(
-            path,
+            beside,
             parts,
             n_members=len(state.belief.ensemble),
             n_vehicles=len(state.vehicle.positions),
             with_members=with_members,
             section=section,
             attributes=attributes,
+            journal=journal if before is None else None,
         )
         self._rows: list[dict[str, Any]] = []
         self._revised: dict[int, Ensemble] = {}
         self._thin = fields == "ends"
         self._done = 0
         self._last_fields: dict[str, Any] = {}
-        self._truths: dict[int, Array] = {}
+        self._truths: dict[int, Any] = {}
         self._flushed = perf_counter()
         self._recording = 0.0
-        self._append(state, parts.seen(state.truth), None)
-        self.flush()
+        if before is None:
+            self._append(state, parts.seen(state.truth), None)
+            self.flush()
+        else:
+            self._repeat(*before)
+            beside.replace(path)
 
     def append(self, cycle: Cycle) -> dict[str, float]:
         """Add a finished cycle; return its scores."""
@@ -127,7 +143,10 @@ class Record:
         """Take the fields out of a row that is not the first; ``close`` writes those of the last row."""
         if self._smooths and truth is not None:  # revisions are compared with it, and the file will not have it
             scored = self._space.slice(self._space.variables[0].name)
-            self._truths[self._done] = truth.members[0, scored].astype(np.float32)
+            kept = truth.members[0, scored].astype(np.float32)
+            self._truths[self._done] = kept
+            if self._journal is not None:
+                self._journal.add({"truth": self._done}, {"truth": kept})
         if self._done:
             names = [name for name in row if self._file.is_field(name)]
             self._last_fields = {name: row.pop(name) for name in names}
@@ -167,6 +186,23 @@ class Record:
             self._revised.clear()
             self._file.write([])
         self._flushed = perf_counter()
+
+    def settle(self) -> dict[str, Array]:
+        """Write everything, and return what a checkpoint must hold: the revisions of rows that may be revised again."""
+        self.flush()
+        return self._file.settle(0 if self._window is None else self._done + 1 - self._window)
+
+    def _repeat(self, entries: Entries, later: Mapping[str, Array]) -> None:
+        """Write what a journal and a checkpoint have; raises CheckpointError if the file does not fit."""
+        try:
+            for told, arrays in entries:
+                if "truth" in told:
+                    self._truths[int(told["truth"])] = arrays["truth"]
+                else:
+                    self._file.repeat(told, arrays)
+            self._done = self._file.go_on(self._journal, later) - 1
+        except (LookupError, TypeError, ValueError) as error:
+            raise CheckpointError(f"its rows do not fit the study ({type(error).__name__}: {error})") from error
 
     def _smoothed_error(self, done: int, belief: Ensemble) -> float:
         """Return ERR of a revised belief against the truth as the file has it, in single precision."""

@@ -18,6 +18,7 @@ from typing import Any
 import netCDF4
 import numpy as np
 
+from dafw.core.checkpoints.journal import Journal
 from dafw.core.cycle import PHASES, Parts
 from dafw.core.ensemble import Diagnostic
 from dafw.core.errors import ContractError, RunError
@@ -55,8 +56,8 @@ def _hidden_library(error: OSError) -> bool:
 class RunFile:
     """A new file with all variables of a run except diagnostics, which are defined when they first occur.
 
-    ``with_members`` names the state variables of which every member is kept. Raises RunError if the file cannot be
-    made.
+    ``with_members`` names the state variables of which every member is kept. A ``journal`` is told of everything that
+    is written later (``repeat`` writes it again). Raises RunError if the file cannot be made.
     """
 
     def __init__(
@@ -69,7 +70,10 @@ class RunFile:
         with_members: Sequence[str],
         section: Array,
         attributes: Mapping[str, str | int],
+        journal: Journal | None = None,
     ) -> None:
+        self._journal = journal
+        self._rewritten: dict[int, set[str]] = {}
         try:
             self._file = netCDF4.Dataset(path, "w", clobber=False, format="NETCDF4")
         except OSError as error:
@@ -229,6 +233,8 @@ class RunFile:
                     self._file.createDimension(dim, length)
             title = diagnostic.long_name or name.replace("_", " ")
             self._define(name, ("time", *diagnostic.dims), dtype, diagnostic.units, title)
+            sizes = [*zip(diagnostic.dims, values.shape, strict=True)]
+            self._note({"diagnostic": name, "sizes": sizes, "dtype": dtype, "units": diagnostic.units, "title": title})
         if values.shape != self._shapes[name]:
             raise ContractError(f"diagnostic '{name}' must have the shape {self._shapes[name]}, got {values.shape}")
         kept = self._fills[name].dtype
@@ -241,6 +247,7 @@ class RunFile:
         """Define the variable of the members' weights if it is not there yet."""
         if "weight" not in self._shapes:
             self._define("weight", ("time", "member"), "f8", "1", "weights of the members of the analysis")
+            self._note({"weights": True})
 
     def sensor_numbers(self, names: Sequence[str]) -> list[int]:
         """Return the numbers under which the file lists sensors; a new sensor is added."""
@@ -254,18 +261,26 @@ class RunFile:
             if name not in self._sensors:
                 self._file.variables["sensor_name"][len(self._sensors)] = name
                 self._sensors[name] = len(self._sensors)
+                self._note({"sensor": name})
         return [self._sensors[name] for name in names]
 
     def write(self, rows: Sequence[Mapping[str, Any]]) -> None:
         """Add rows (values by the variable's name) and synchronise; variables that a row lacks stay missing."""
-        first, last = self._written, self._written + len(rows)
+        blocks = {}
         for name in dict.fromkeys(chain.from_iterable(rows)):
             fill = self._fills[name]
-            block = _block([row.get(name, fill) for row in rows], fill)
+            blocks[name] = _block([row.get(name, fill) for row in rows], fill)
+        self._write_blocks(len(rows), blocks)
+        if rows:
+            self._note({"rows": len(rows)}, blocks)
+        self._file.sync()
+
+    def _write_blocks(self, count: int, blocks: Mapping[str, Any]) -> None:
+        first, last = self._written, self._written + count
+        for name, block in blocks.items():
             if block.size:
                 self._file.variables[name][(slice(first, last), *map(slice, block.shape[1:]))] = block
         self._written = last
-        self._file.sync()
 
     def is_field(self, name: str) -> bool:
         """Return whether a variable holds a state variable with several numbers, such as one on a mesh."""
@@ -275,6 +290,61 @@ class RunFile:
         """Write variables of a row again; a reader may see the old or the new values until the file is synchronised."""
         for name, value in values.items():
             self._file.variables[name][row] = value
+        if self._journal is not None:
+            self._rewritten.setdefault(row, set()).update(values)
+
+    def settle(self, final: int) -> dict[str, Array]:
+        """Tell the journal what was written again of the rows before ``final``, for a checkpoint.
+
+        Return the same of the later rows, which may be written once more, by ``ROW/NAME``. So the journal does not
+        grow with every revision.
+        """
+        later: dict[str, Array] = {}
+        for row in sorted(self._rewritten):
+            found = {name: self._stored(name, row) for name in sorted(self._rewritten[row])}
+            if row < final:
+                self._note({"again": row}, found)
+                del self._rewritten[row]
+            else:
+                later |= {f"{row}/{name}": values for name, values in found.items()}
+        return later
+
+    def repeat(self, told: Mapping[str, Any], arrays: Mapping[str, Any]) -> None:
+        """Write an entry of a journal; raises LookupError or TypeError for what is none of this file's."""
+        match told:
+            case {"rows": int(count)}:
+                self._write_blocks(count, arrays)
+            case {"again": int(row)}:
+                for name, values in arrays.items():
+                    self._file.variables[name][row] = values
+            case {"diagnostic": str(name), "sizes": sizes, "dtype": dtype, "units": units, "title": title}:
+                for dim, length in sizes:
+                    if dim not in self._file.dimensions:
+                        self._file.createDimension(dim, length)
+                self._define(name, ("time", *(dim for dim, _ in sizes)), dtype, units, title)
+            case {"weights": True}:
+                self.require_weights()
+            case {"sensor": str(name)}:
+                self.sensor_numbers([name])
+            case _:
+                raise LookupError(f"an entry that is not known: {sorted(told)}")
+
+    def go_on(self, journal: Journal | None, later: Mapping[str, Any]) -> int:
+        """Write what ``settle`` returned, tell ``journal`` of what follows, and return the number of rows there are."""
+        self._journal = journal
+        for place, values in later.items():
+            row, _, name = place.partition("/")
+            self.rewrite(int(row), {name: values})
+        self._file.sync()
+        return self._written
+
+    def _note(self, told: Mapping[str, Any], arrays: Mapping[str, Any] | None = None) -> None:
+        if self._journal is not None:
+            self._journal.add(told, arrays)
+
+    def _stored(self, name: str, row: int) -> Array:
+        """Return a variable of a row as the file has it, of the same type."""
+        return np.asarray(self._file.variables[name][row])
 
     def read(self, name: str, row: int) -> Array:
         """Return a variable of a row that was written before, as stored in the file."""

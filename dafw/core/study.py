@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from dafw.core.checkpoints.plan import CheckpointPlan
 from dafw.core.cycle import Cycle, Parts, State, advance, start
 from dafw.core.ensemble import Route, Vehicle
 from dafw.core.errors import ConfigurationError, NoMoreReadingsError
@@ -56,6 +57,7 @@ class Study:
     record                   the variables for which run.nc keeps every member: none, parameters, all
     record_fields            the rows of run.nc that have the fields: all, or its ends, the first and the last
     forecast                 the forecasts of a run: how often, how far, of what; by default none
+    checkpoint               how often a run of the study writes a checkpoint, from which it can go on
     section                  corners [[x, y], ...] of the polyline of the section picture, in metres
     advice                   where a run also says what it advises: ``-``, paths of files or named pipes, ``mqtt``
     pictures                 whether a run of the study ends with its pictures
@@ -82,6 +84,7 @@ class Study:
     record: str = "parameters"
     record_fields: str = "all"
     forecast: ForecastPlan = field(default_factory=ForecastPlan)
+    checkpoint: CheckpointPlan = field(default_factory=CheckpointPlan)
     section: Sequence[Sequence[float]] = ()
     advice: Sequence[str] = ()
     pictures: bool = False
@@ -103,9 +106,15 @@ class Study:
                 wanted_kind = f"an {kind.kind}" if kind.kind[0] in "aeo" else f"a {kind.kind}"
                 raise ConfigurationError(f"a study's {role} must be {wanted_kind}, got {type(part).__name__}")
             require_options(part, part.label)
-        if not isinstance(self.forecast, ForecastPlan):
-            raise ConfigurationError(f"a study's forecast must be a ForecastPlan, got {type(self.forecast).__name__}")
-        require_options(self.forecast, "study, forecast")
+        for what, plan, wanted_plan in (
+            ("forecast", self.forecast, ForecastPlan),
+            ("checkpoint", self.checkpoint, CheckpointPlan),
+        ):
+            if not isinstance(plan, wanted_plan):
+                raise ConfigurationError(
+                    f"a study's {what} must be a {wanted_plan.__name__}, got {type(plan).__name__}"
+                )
+            require_options(plan, f"study, {what}")
         for label, value, choices in (
             ("late_readings", self.late_readings, LATE_CHOICES),
             ("record", self.record, RECORDED),
@@ -194,7 +203,7 @@ class Study:
         if self.forecast.every is not None:
             self.forecast.suit(model.dt)
             places_of(self.forecast, model.space.variables[0], model.domain)
-        self._require_memory()
+        require_memory(self.wanted_memory())
         parts = Parts(
             model=model,
             truth=self.truth,
@@ -225,8 +234,8 @@ class Study:
                 raise ConfigurationError(f"the section's corner {corner} lies outside the domain {domain.bounds}")
         return Vehicle(positions, self.speed, self.model.dt, domain)
 
-    def _require_memory(self) -> None:
-        """Raise ConfigurationError if the ensemble and the past that the filter looks back to do not fit in memory."""
+    def wanted_memory(self) -> dict[str, float]:
+        """Return the bytes that the ensemble and the past that the filter looks back to need, by their purpose."""
         state = 8.0 * self.members * self.model.space.size
         window = self.cycles if self.filter.window is None else self.filter.window
         beliefs = window if self.filter.past_beliefs == "all" or self.filter.window is not None else 1
@@ -237,7 +246,7 @@ class Study:
             wanted[f"{beliefs} past beliefs that {self.filter.label} looks back to"] = beliefs * state
         if self.forecast.every is not None:
             wanted["forecasts of all members"] = state * arrays_of(self.forecast)
-        require_memory(wanted)
+        return wanted
 
     def begin(self) -> tuple[Parts, State]:
         """Build the parts, start the executor and draw the first belief.

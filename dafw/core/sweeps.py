@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 RECORD = "multirun.yaml"
 """The file in which Hydra stores the request of a multirun."""
+SET_BY_DAFW = ("hydra.mode=", "hydra.sweep.dir=", "hydra.job.config.override_dirname.exclude_keys=")
+"""Overrides of Hydra's part that ``dafw run`` adds itself."""
 SWEEP_FOLDER = "sweep_folder"
 """The attribute of an open sweep that says where it is."""
 SPARSEST = 100
@@ -82,6 +84,45 @@ def sweep_folder(path: Path) -> Path:
     if not is_sweep(folder):
         raise RunError(f"{path}: holds no multirun (expected its folder, with a {RECORD} and folders of runs)")
     return folder
+
+
+@dataclass(frozen=True)
+class Requested:
+    """The request of a multirun as its file has it, and where its command was given."""
+
+    task: tuple[str, ...]
+    of_hydra: tuple[str, ...]
+    name: str
+    more: Path | None
+    working_folder: Path | None
+
+    def words(self, folder: Path) -> list[str]:
+        """Return the words of ``dafw run`` that ask for the same jobs in the folder of the multirun."""
+        quoted = str(folder).replace("\\", "\\\\").replace("'", "\\'")
+        own = [word for word in self.of_hydra if not word.startswith(SET_BY_DAFW)]
+        more = ["--config-dir", str(self.more)] if self.more else []
+        return ["-m", "--config-name", self.name, *more, *self.task, *own, f"hydra.sweep.dir='{quoted}'"]
+
+
+def requested(folder: Path) -> Requested:
+    """Return the request of a multirun; raises RunError if its file cannot be read."""
+    import yaml
+
+    file = folder / RECORD
+    try:
+        told = yaml.safe_load(file.read_text(encoding="utf-8"))["hydra"]
+        sources = told["runtime"]["config_sources"]
+        more = [Path(one["path"]) for one in sources if one["provider"] == "command-line"]
+        here = Path(told["runtime"]["cwd"])
+        return Requested(
+            tuple(map(str, told["overrides"]["task"])),
+            tuple(map(str, told["overrides"]["hydra"])),
+            str(told["job"]["config_name"]),
+            more[0] if more else None,
+            here if here.is_dir() else None,
+        )
+    except (OSError, UnicodeError, yaml.YAMLError, LookupError, TypeError) as error:
+        raise RunError(f"{file}: cannot be read ({' '.join(str(error).split())})") from error
 
 
 def is_sweep(folder: Path) -> bool:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 
+from dafw.core.checkpoints.journal import Journal
 from dafw.core.cycle import Parts, State
 from dafw.core.errors import DivergenceError, SolverError
 from dafw.core.files import write_atomically
@@ -32,10 +33,20 @@ NO_PLACE = (
 
 
 class Forecasting:
-    """Makes and writes the forecasts of one run; ``state`` is that at the start."""
+    """Makes and writes the forecasts of one run; ``state`` is that at the start.
+
+    A ``journal`` is told of every forecast; ``before`` are the entries of one, and what ``summary`` returned then.
+    """
 
     def __init__(
-        self, plan: ForecastPlan, parts: Parts, state: State, folder: Path, attributes: Mapping[str, str | int]
+        self,
+        plan: ForecastPlan,
+        parts: Parts,
+        state: State,
+        folder: Path,
+        attributes: Mapping[str, str | int],
+        journal: Journal | None = None,
+        before: tuple[Iterable[tuple[dict[str, Any], dict[str, Array]]], Mapping[str, Any]] | None = None,
     ) -> None:
         self._plan, self._parts, self._folder = plan, parts, folder
         space, domain = parts.model.space, parts.model.domain
@@ -45,8 +56,9 @@ class Forecasting:
         self._origin = None if domain is None else domain.origin
         nodes, triangles = self._variable.coordinates, None if domain is None else domain.triangles
         self._regions = None if nodes is None or triangles is None else Regions(nodes, triangles)
-        self.issued = self.failed = 0
-        self.seconds = 0.0
+        known = {} if before is None else before[1]
+        self.issued, self.failed = int(known.get("issued", 0)), int(known.get("failed", 0))
+        self.seconds = float(known.get("seconds", 0.0))
         present = {"truth": state.truth, "free": state.free}
         # Without a truth there is nothing that forecasts can be judged by.
         verifies = plan.verify and state.truth is not None
@@ -59,6 +71,8 @@ class Forecasting:
             singles=tuple(name for name in SINGLES if verifies and present[name] is not None),
             start=(first.members[:, self._part], first.weights),
             attributes=attributes,
+            journal=journal,
+            before=None if before is None else before[0],
         )
         if self._regions is not None and self._origin is None:
             log.warning("forecasts: %s", NO_PLACE)

@@ -10,32 +10,36 @@ from typing import Any
 from dafw.core.errors import ConfigurationError
 from dafw.core.files import write_atomically
 from dafw.core.study import Study
+from dafw.studies.resuming import holds_run, is_complete
 from dafw.studies.running import refuse_run, run_study
 
 
-def run(what: Study | list[str] | None = None, folder: str | Path | None = None) -> Any:
+def run(what: Study | list[str] | None = None, folder: str | Path | None = None, *, resume: bool = False) -> Any:
     """Run a study and open its result as an xarray.Dataset; the attribute ``folder`` is the folder of the run.
 
     ``dafw.run(study)`` runs a study made of objects; ``dafw.run(["filter=none", "cycles=20"])`` composes one from
-    overrides, as the command does. The run is written to ``folder``, or to a new folder in ``outputs``. Raises
-    ConfigurationError for a wrong request, RunError if the folder already holds a run, and other DafwErrors if a
-    computation fails.
+    overrides, as the command does. The run is written to ``folder``, or to a new folder in ``outputs``. With ``resume``
+    an unfinished run of the same study in ``folder`` goes on from its last checkpoint, and a complete one is opened.
+    Raises ConfigurationError for a wrong request, RunError if the folder already holds a run, or one that cannot go on,
+    and other DafwErrors if a computation fails.
     """
     from dafw.core.runs import open_run
 
+    if resume and folder is None and isinstance(what, Study):
+        raise ConfigurationError("dafw.run: resume=True needs the folder of the run: folder=...")
     if isinstance(what, Study):
         place = Path(folder or f"outputs/{what.name}/{datetime.now():%Y-%m-%d_%H-%M-%S-%f}").resolve()
-        run_study(what, place)
+        run_study(what, place, resume=resume)
     else:
-        place = _run_overrides(what or [], folder)
+        place = _run_overrides(what or [], folder, resume)
     dataset = open_run(place)
     dataset.attrs["folder"] = str(place)
     return dataset
 
 
-def _run_overrides(overrides: list[str], folder: str | Path | None) -> Path:
+def _run_overrides(overrides: list[str], folder: str | Path | None, resume: bool) -> Path:
     """Compose and run a study; return its folder."""
-    from dafw.core.composition import advised, compose, study_part
+    from dafw.core.composition import advised, compose, require_fixed_folder, study_part
     from dafw.core.experiment import study_from
 
     if not isinstance(overrides, list | tuple) or not all(isinstance(override, str) for override in overrides):
@@ -43,14 +47,20 @@ def _run_overrides(overrides: list[str], folder: str | Path | None) -> Path:
     config = compose(overrides)
     composed = study_part(config)
     place = Path(folder or config.hydra.run.dir).resolve()
-    refuse_run(place)
+    resume = resume or composed["resume"] == "auto"
+    if resume and folder is None:
+        require_fixed_folder(config)
+    if not resume:
+        refuse_run(place)
     try:
         study = study_from(composed)
-        study.prepare()
+        if not (resume and holds_run(place)):
+            study.prepare()
     except ConfigurationError as error:
         raise advised(error, overrides) from error
-    keep_configuration(place / ".hydra", composed, overrides)
-    run_study(study, place)
+    if not (resume and is_complete(place, study)):
+        keep_configuration(place / ".hydra", composed, overrides)
+    run_study(study, place, resume=resume)
     return place
 
 

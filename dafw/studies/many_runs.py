@@ -17,6 +17,7 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
+from dafw.core.checkpoints.fingerprint import difference
 from dafw.core.composition import advised, compose, study_hydra, study_part
 from dafw.core.errors import ConfigurationError, RunError
 from dafw.core.experiment import study_from
@@ -61,7 +62,8 @@ def composed(study: ManyRuns, more: Path | None = None) -> dict[str, Any]:
             study_from(values)
         except ConfigurationError as error:
             raise named(one, advised(error, words, more)) from error
-        values.pop("seed")
+        for name in ("seed", "resume", "checkpoint"):  # they do not tell one configuration from another
+            values.pop(name)
         found[one.name] = json.loads(json.dumps(values))
     return found
 
@@ -74,13 +76,15 @@ def run_missing(
     more: Path | None = None,
     workers: int | None = None,
     retry: bool = False,
+    command: Mapping[str, Any] | None = None,
 ) -> int:
     """Run what is missing of a study, in so many processes (one per core), and return how many runs were started.
 
     With ``retry`` failed runs are run again. ``whole`` is the study of which this is a part: its configurations
-    belong to the folder, too. Before anything is run, everything is composed and checked. Raises ConfigurationError
-    for a wrong request, also if the folder's configurations are not the study's; RunError if another process works in
-    the folder; Interrupted, which says how many runs there are; another DafwError if a floor cannot be found.
+    belong to the folder, too. ``command`` is what the folder keeps so that it can be resumed. Before anything is run,
+    everything is composed and checked. Raises ConfigurationError for a wrong request, also if the folder's
+    configurations are not the study's; RunError if another process works in the folder; Interrupted, which says how
+    many runs there are; another DafwError if a floor cannot be found.
     """
     configurations = composed(whole or study, more)
     for_floors = composed_for_floors(study, more)
@@ -101,7 +105,7 @@ def run_missing(
         try:
             if tasks:
                 _make_ready({one.name: one for one, _ in todo}, configurations)
-            _note_request(folder, configurations)
+            _note_request(folder, configurations, command)
             find_floors(study, folder, for_floors)
             _run(tasks, len(there), workers)
         except KeyboardInterrupt:
@@ -133,7 +137,7 @@ def require_same(folder: Path, configurations: Mapping[str, Any]) -> None:
         if name not in configurations:
             raise ConfigurationError(f"{folder}: holds runs of '{name}', which the study no longer has; {advice}")
         if noted != configurations[name]:
-            what = _difference(noted, configurations[name])
+            what = difference(noted, configurations[name])
             raise ConfigurationError(f"{folder}: its runs of '{name}' had {what}; {advice}")
 
 
@@ -150,19 +154,10 @@ def _noted(folder: Path) -> dict[str, Any]:
         raise RunError(f"{file}: cannot be read ({' '.join(str(error).split())})") from error
 
 
-def _note_request(folder: Path, configurations: Mapping[str, Any]) -> None:
+def _note_request(folder: Path, configurations: Mapping[str, Any], command: Mapping[str, Any] | None) -> None:
     require_same(folder, configurations)  # another process may have come first, before this one had the lock
-    if _noted(folder) != configurations:
-        write_atomically(folder / REQUEST, json.dumps({"configurations": configurations}, indent=1) + "\n")
-
-
-def _difference(before: Any, now: Any, path: str = "") -> str:
-    """Return the first entry in which two configurations differ, in words."""
-    if isinstance(before, dict) and isinstance(now, dict):
-        for key in dict.fromkeys([*before, *now]):
-            if key not in before or key not in now or before[key] != now[key]:
-                return _difference(before.get(key), now.get(key), f"{path}.{key}".removeprefix("."))
-    return f"{path} = {json.dumps(before)}, now it is {json.dumps(now)}"
+    told = {"configurations": configurations, **({} if command is None else {"command": command})}
+    write_atomically(folder / REQUEST, json.dumps(told, indent=1) + "\n")
 
 
 @contextmanager

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import logging
-import sys
-from contextlib import suppress
+import shutil
+from collections.abc import Mapping
+from contextlib import ExitStack, suppress
 from functools import partial
 from pathlib import Path
 from time import perf_counter
@@ -13,9 +14,13 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
+from dafw.core.checkpoints.checkpoint_file import FOLDER, Checkpoint
+from dafw.core.checkpoints.fingerprint import described, digest
+from dafw.core.checkpoints.journal import FORECASTS, ROWS, entries
 from dafw.core.cycle import Cycle, Parts, State, advance, start
 from dafw.core.ensemble import Vehicle
 from dafw.core.errors import (
+    CheckpointError,
     ComputationError,
     DafwError,
     NoMoreReadingsError,
@@ -23,14 +28,27 @@ from dafw.core.errors import (
     RunError,
 )
 from dafw.core.files import claim, write_atomically
-from dafw.core.forecasts.forecast_file import FILE
+from dafw.core.pinned import pinned_study
 from dafw.core.plugin import by_plugin
 from dafw.core.progress import progress
 from dafw.core.record import Record
+from dafw.core.runs import summary_of
 from dafw.core.study import Study
 from dafw.studies.advice import Advice
+from dafw.studies.checkpointing import LATER, Checkpointing
 from dafw.studies.forecasting import Forecasting
+from dafw.studies.pictures import draw_pictures
 from dafw.studies.reporting import closing_line, log_domain, log_file, postfix, sentence, warn_once
+from dafw.studies.resuming import (
+    cleared,
+    held,
+    holds_run,
+    is_complete,
+    last_checkpoint,
+    later_rows,
+    restored,
+    shared,
+)
 from dafw.studies.stopping import Interrupted, Stop, stop_signals
 from dafw.studies.summary import Summary
 
@@ -41,18 +59,48 @@ SHOWN_BY_BUILDING = ("model", "truth", "free", "vehicle", "observer", "policy", 
 SUMMARY_SECONDS = 10.0
 
 
-def run_study(study: Study, folder: Path, communicator: Any = None) -> dict[str, Any]:
+def run_study(study: Study, folder: Path, communicator: Any = None, *, resume: bool = False) -> dict[str, Any]:
     """Run a study into ``folder`` and return its summary; on rank 0 of an MPI communicator, if there is one.
 
-    In any case the finished cycles stay in ``run.nc``, and ``summary.json`` says how the run ended. Raises RunError if
-    the folder already holds a run, DafwError if a computation fails, and Interrupted.
+    In any case the finished cycles stay in ``run.nc``, and ``summary.json`` says how the run ended. With ``resume`` an
+    unfinished run of the study in the folder goes on from its last checkpoint, and of a complete one the summary is
+    returned. Raises RunError if the folder already holds a run, or one that cannot go on; DafwError if a computation
+    fails; and Interrupted.
     """
-    refuse_run(folder)
     begun = perf_counter()
-    # A wrong request raises here, before anything is written.
-    parts, vehicle = study.prepare(communicator)
-    folder.mkdir(parents=True, exist_ok=True)
-    run = _Run(study, folder, begun, communicator)
+    goes_on = resume and holds_run(folder)
+    if not goes_on:
+        refuse_run(folder)
+    elif is_complete(folder, study):
+        if communicator is not None:  # the other ranks wait: this must not end well
+            raise RunError(f"{folder}: another process has completed this run meanwhile")
+        return summary_of(folder)
+    elif study.readings.is_live:
+        raise RunError(
+            f"{folder}: a live run cannot go on; nothing was changed. What came is in its journal, which a new run can "
+            f"be given: readings.source={folder / 'journal.jsonl'}"
+        )
+    with ExitStack() as stack:
+        if goes_on:  # a wrong request to go on raises before the parts are built, which may take long
+            stack.enter_context(held(folder))
+        before = shared(last_checkpoint(folder, study) if goes_on else None, communicator)
+        told = described(study)
+        if before is not None:
+            study = pinned_study(study, before.told["pinned"])
+        # A wrong request raises here, before anything is written.
+        parts, vehicle = study.prepare(communicator)
+        if not goes_on:
+            folder.mkdir(parents=True, exist_ok=True)
+            stack.enter_context(held(folder))
+            claim(folder / "summary.json")
+        elif before is None:
+            cleared(folder)
+        return _carried_out(_Run(study, told, folder, begun, communicator, before), parts, vehicle)
+
+
+def _carried_out(run: _Run, parts: Parts, vehicle: Vehicle) -> dict[str, Any]:
+    """Run a study whose parts are built, in a folder that no other process writes to."""
+    study, folder = run.study, run.folder
     # One thread: the bits then do not depend on the number of cores, and small matrices are faster.
     with log_file(folder / "run.log"), stop_signals() as stop, threadpool_limits(limits=1, user_api="blas"):
         try:
@@ -73,12 +121,12 @@ def run_study(study: Study, folder: Path, communicator: Any = None) -> dict[str,
             # An error outside the phases of a cycle must also give a one-line message and close the record.
             failure = _named(error)
             with suppress(RecordError):  # report the first error
-                run.end("failed", str(failure))
+                run.end("failed", failure)
             done = run.summary.cycles
             kept = f"; {done} of {study.cycles} cycles are kept in {folder}" if done else ""
             raise type(failure)(f"{failure}{kept}") from error
         if study.pictures and not stop.asked:
-            _draw(folder)
+            draw_pictures(folder)
         if stop.asked:
             raise Interrupted(f"all {run.summary.cycles} cycles are kept in {folder}")
     return run.summary.values()
@@ -91,26 +139,47 @@ def refuse_run(folder: Path, communicator: Any = None) -> None:
     folder before another rank looks.
     """
     holds = communicator is None or communicator.rank == 0
-    holds = holds and ((folder / "run.nc").exists() or (folder / "summary.json").exists())
+    holds = holds and holds_run(folder)
     if communicator is not None:
         holds = communicator.bcast(holds, root=0)
     if holds:
-        raise RunError(f"{folder}: holds a run already; nothing was changed")
+        hint = ""
+        if (communicator is None or communicator.rank == 0) and summary_of(folder).get("status") == "interrupted":
+            hint = f"; dafw resume {folder} goes on with it"
+        raise RunError(f"{folder}: holds a run already; nothing was changed{hint}")
 
 
 class _Run:
-    """One run in progress."""
+    """One run in progress. ``told`` is its configuration; ``before`` the checkpoint from which it goes on."""
 
-    def __init__(self, study: Study, folder: Path, begun: float, communicator: Any) -> None:
+    def __init__(
+        self,
+        study: Study,
+        told: Mapping[str, Any],
+        folder: Path,
+        begun: float,
+        communicator: Any,
+        before: Checkpoint | None,
+    ) -> None:
         self.study, self.folder, self.communicator = study, folder, communicator
         self.summary = Summary(study, begun, communicator.size if communicator else 1)
         self.record: Record | None = None
         self.forecasting: Forecasting | None = None
         self.advice: Advice | None = None
+        self.checkpointing: Checkpointing | None = None
+        self.before = before
+        self._between: State | None = None
+        """The state to which all that is written belongs; None while a cycle is being written."""
         self._writing = _Writing(folder)
+        self._told = told
+        self.summary.configuration = digest(told)
+        if before is not None:
+            try:
+                self.summary.go_on(before.told["summary"])
+            except (LookupError, TypeError, ValueError, AttributeError) as error:
+                raise CheckpointError(f"{folder / FOLDER}: its summary cannot be read ({error})") from error
         # The status of a run that is killed before it can write another one.
         self.noted = perf_counter()
-        claim(folder / "summary.json")
         self._write_summary()
 
     def cycles(self, parts: Parts, vehicle: Vehicle, stop: Stop) -> None:
@@ -118,39 +187,34 @@ class _Run:
         study, summary = self.study, self.summary
         log.info("study '%s', seed %d, %d members", study.name, study.seed, study.members)
         parts.executor.start(parts.model, study.model_configuration)
-        state = start(parts, study.members, vehicle)
+        first = start(parts, study.members, vehicle)
+        before = self.before
+        state = first if before is None else restored(before, first, parts, self.folder)
         summary.begin(study)
         stop.patient = True
         log_domain(parts)
+        if before is not None:
+            log.info("goes on after %d of %d cycles", before.cycle, study.cycles)
         with self._writing:
-            self.record = Record(
-                self.folder / "run.nc",
-                parts,
-                state,
-                with_members=_with_members(study, parts),
-                section=np.array(study.section, dtype=np.float64).reshape(-1, 2),
-                attributes=summary.file_attributes(),
-                fields=study.record_fields,
-            )
-            if study.forecast.every is not None:
-                self.forecasting = Forecasting(study.forecast, parts, state, self.folder, summary.file_attributes())
-        logged = 0.0
+            record = self._open(parts, first)
+        self._between, logged = state, 0.0
         self.advice = Advice(study, parts, self.folder)
-        with progress(study.cycles, "cycle") as bar:
-            for done in range(1, study.cycles + 1):
+        with progress(study.cycles, "cycle", done=state.cycle) as bar:
+            for done in range(state.cycle + 1, study.cycles + 1):
                 try:
                     cycle = advance(parts, state, partial(self.advice.give, state))
                 except NoMoreReadingsError as ended:
                     log.info("%s", ended)
                     break
-                recorded = perf_counter()
+                recorded, self._between = perf_counter(), None
                 with self._writing:
-                    scores = self.record.append(cycle)
+                    scores = record.append(cycle)
                 cycle.seconds["record"] = perf_counter() - recorded
                 summary.add(cycle, scores)
                 self._say(cycle, parts)
                 state = cycle.state
                 self._look_ahead(done, state, parts)
+                self._between = state
                 if perf_counter() - logged > LOG_SECONDS or done == study.cycles:
                     logged = perf_counter()
                     log.info("%s", sentence(cycle, scores))
@@ -160,10 +224,42 @@ class _Run:
                 if perf_counter() - self.noted > SUMMARY_SECONDS:
                     with self._writing:
                         self._write_summary()
+                if self.checkpointing is not None and done < study.cycles and self.checkpointing.is_due(done):
+                    self._keep()
                 if stop.agreed(self.communicator) and done < study.cycles:
                     raise Interrupted
         self.advice.end(state)
         summary.end(parts, state)
+
+    def _open(self, parts: Parts, first: State) -> Record:
+        """Make the files of the run, or make them anew as they were at the checkpoint; ``first`` is the first state."""
+        study, before, attributes = self.study, self.before, self.summary.file_attributes()
+        places = self.folder / FOLDER
+        if study.checkpoint.wanted and not study.readings.is_live:
+            self.checkpointing = Checkpointing(study, self._told, parts, self.folder, first, before)
+        lengths = {} if before is None else before.told["journals"]
+        self.record = record = Record(
+            self.folder / "run.nc",
+            parts,
+            first,
+            with_members=_with_members(study, parts),
+            section=np.array(study.section, dtype=np.float64).reshape(-1, 2),
+            attributes=attributes,
+            fields=study.record_fields,
+            journal=self.checkpointing.rows if self.checkpointing else None,
+            before=(entries(places / ROWS, lengths[ROWS]), later_rows(before, LATER)) if before else None,
+        )
+        if study.forecast.every is not None:
+            known = (entries(places / FORECASTS, lengths[FORECASTS]), before.told["forecasting"]) if before else None
+            journal = self.checkpointing.forecasts if self.checkpointing else None
+            self.forecasting = Forecasting(study.forecast, parts, first, self.folder, attributes, journal, known)
+        return record
+
+    def _keep(self) -> None:
+        """Write a checkpoint of the last cycle."""
+        if self.checkpointing is not None and self.record is not None and self._between is not None:
+            with self._writing:
+                self.checkpointing.write(self._between, self.record, self.forecasting, self.summary)
 
     def _say(self, cycle: Cycle, parts: Parts) -> None:
         """Log what plugins have to say about a cycle, and once each what a user must know."""
@@ -183,24 +279,31 @@ class _Run:
         if warning is not None:
             warn_once(self.summary.warned, "forecast", f"t = {state.belief.ensemble.time:g} s: {warning}")
 
-    def end(self, status: str, error: str = "") -> None:
-        """Close the record and say how the run ended; raises RecordError if that cannot be written."""
+    def end(self, status: str, error: DafwError | None = None) -> None:
+        """Close the record and say how the run ended; raises RecordError if that cannot be written.
+
+        A run that is not complete leaves a checkpoint, so that nothing that was computed is lost.
+        """
         try:
-            with self._writing:
-                try:
-                    if self.forecasting is not None:
-                        self.forecasting.close()
-                finally:
-                    if self.record is not None:
-                        self.record.close()
+            with self._writing, ExitStack() as closing:
+                for part in (self.checkpointing, self.record, self.forecasting):
+                    if part is not None:
+                        closing.callback(part.close)
+                if self.summary.cycles < self.study.cycles and not isinstance(error, RecordError):
+                    self._keep()
         except RecordError as failure:
-            status, error = "failed", error or str(failure)
+            status, error = "failed", error or failure
             raise
         finally:
-            self.summary.status, self.summary.error = status, error
+            summary = self.summary
+            summary.status, summary.error = status, "" if error is None else str(error)
+            if error is not None and error.phase is not None:
+                summary.failed_at = {"time": error.time, "phase": error.phase}
             with self._writing:
                 self._write_summary()
-            log.info("%s after %d of %d cycles %s", status, self.summary.cycles, self.study.cycles, error)
+            log.info("%s after %d of %d cycles %s", status, summary.cycles, self.study.cycles, summary.error)
+        if status == "complete":
+            shutil.rmtree(self.folder / FOLDER, ignore_errors=True)
 
     def _write_summary(self) -> None:
         self.noted = perf_counter()
@@ -234,21 +337,3 @@ def _with_members(study: Study, parts: Parts) -> list[str]:
     if study.record == "all":
         return [variable.name for variable in variables]
     return [variable.name for variable in variables if variable.size == 1 and study.record == "parameters"]
-
-
-def _draw(folder: Path) -> None:
-    from dafw.core.runs import open_run
-    from dafw.views import draw_all
-
-    try:
-        with open_run(folder) as run:
-            for path in draw_all(run, folder / "figures"):
-                log.info("picture %s", path.name)
-        if (folder / FILE).exists():
-            from dafw.views.forecasts import draw_forecast
-
-            for path in draw_forecast(folder):
-                log.info("picture %s", path.name)
-    except DafwError as error:
-        log.warning("a picture cannot be drawn: %s", error)
-        print(f"dafw: the run is complete, but a picture cannot be drawn: {error}", file=sys.stderr)

@@ -13,12 +13,15 @@ from dataclasses import dataclass
 from functools import cache
 from multiprocessing.connection import wait
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from dafw.core.errors import ComputationError
+from dafw.core.errors import ComputationError, RunError
 from dafw.core.files import write_atomically
 from dafw.core.runs import summary_of
 from dafw.core.workers import Outcome, Worker, dismiss, outcome
+
+if TYPE_CHECKING:
+    from dafw.core.study import Study
 
 log = logging.getLogger("dafw")
 
@@ -90,13 +93,25 @@ def _run(task: Task) -> None:
     from dafw.studies.from_python import keep_configuration
     from dafw.studies.running import run_study
 
-    if task.folder.exists():  # what a run left that was interrupted, or that failed and is tried again
-        shutil.rmtree(task.folder)
     overrides = [*task.overrides, f"seed={task.seed}"]
     composed = study_part(compose(overrides, hydra=_hydra(task.more)))
     study = study_from(composed)
+    # What a run left that was interrupted, or that failed and is tried again: it goes on if it can.
+    if task.folder.exists() and not _can_go_on(task.folder, study):
+        shutil.rmtree(task.folder)
     keep_configuration(task.folder / ".hydra", composed, overrides)
-    run_study(study, task.folder)
+    run_study(study, task.folder, resume=True)
+
+
+def _can_go_on(folder: Path, study: Study) -> bool:
+    """Return whether an unfinished run has a checkpoint that fits; if it has one that does not, say why."""
+    from dafw.studies.resuming import last_checkpoint
+
+    try:
+        return last_checkpoint(folder, study) is not None
+    except RunError as error:
+        log.warning("%s; it is run from the start", error)
+        return False
 
 
 @cache

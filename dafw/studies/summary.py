@@ -7,8 +7,10 @@ import math
 import platform
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 from time import perf_counter
 from typing import Any
 
@@ -38,13 +40,19 @@ class Summary:
         self.diverged_at: float | None = None
         self.pinned: dict[str, Mapping[str, Any]] = {}
         self.forecasts: Mapping[str, Any] | None = None
-        self.versions = _versions(study)
+        self.versions = versions_of(study)
         self._seconds: defaultdict[str, float] = defaultdict(float)
         self._scores: Mapping[str, float] = {}
         self._parameters: dict[str, dict[str, float | None]] = {}
         self._counts: defaultdict[str, int] = defaultdict(int)
         self._left_out: defaultdict[str, int] = defaultdict(int)
         self._innovations: list[float] = []
+        self.configuration = ""
+        self.working_folder: str | None = None
+        with suppress(OSError):  # somebody has removed it
+            self.working_folder = str(Path.cwd())
+        self.resumed_after: list[int] = []
+        self.failed_at: Mapping[str, Any] | None = None
 
     def begin(self, study: Study) -> None:
         """Record the pinned options of the models, and how long set-up took."""
@@ -67,6 +75,37 @@ class Summary:
         belief = cycle.state.belief.ensemble
         if self.diverged_at is None and belief.space.exceeds(belief.members, 1.0):
             self.diverged_at = cycle.state.belief.ensemble.time
+
+    def kept(self) -> dict[str, Any]:
+        """Return as plain values what a checkpoint must hold for the summary to go on."""
+        return {
+            "cycles": self.cycles,
+            "warned": sorted(self.warned),
+            "diverged_at": self.diverged_at,
+            "forecasts": self.forecasts,
+            "seconds": dict(self._seconds),
+            "scores": dict(self._scores),
+            "counts": dict(self._counts),
+            "left_out": dict(self._left_out),
+            "innovations": self._innovations,
+            "resumed_after": self.resumed_after,
+            "elapsed": perf_counter() - self.begun,
+        }
+
+    def go_on(self, kept: Mapping[str, Any]) -> None:
+        """Go on from what ``kept`` returned; raises LookupError, TypeError or ValueError if it did not."""
+        self.cycles, self.diverged_at, self.forecasts = kept["cycles"], kept["diverged_at"], kept["forecasts"]
+        self.warned |= set(kept["warned"])
+        for own, before in (
+            (self._seconds, kept["seconds"]),
+            (self._counts, kept["counts"]),
+            (self._left_out, kept["left_out"]),
+        ):
+            for name, number in before.items():
+                own[name] += number
+        self._scores, self._innovations = dict(kept["scores"]), [*kept["innovations"]]
+        self.resumed_after = [*kept["resumed_after"], self.cycles]
+        self.begun -= kept["elapsed"]
 
     def end(self, parts: Parts, state: State) -> None:
         """Record the parameters after the last cycle."""
@@ -115,8 +154,12 @@ class Summary:
             "phase_seconds": {phase: round(seconds, 4) for phase, seconds in self._seconds.items()},
             "versions": self.versions,
             "forecasts": None if self.forecasts is None else dict(self.forecasts),
+            "configuration": self.configuration,
+            "working_folder": self.working_folder,
+            "resumed_after": self.resumed_after,
         }
-        return summary | ({"error": self.error} if self.error else {})
+        failure = {"error": self.error, "failed_at": self.failed_at} if self.error else {}
+        return summary | failure
 
     def file_attributes(self) -> dict[str, str | int]:
         """Return the global attributes of the run's file."""
@@ -140,7 +183,7 @@ def _finite(value: float | None) -> float | None:
     return value if value is not None and math.isfinite(value) else None
 
 
-def _versions(study: Study) -> dict[str, str]:
+def versions_of(study: Study) -> dict[str, str]:
     """Return the versions of Python, of the libraries that matter and of every package of plugins."""
     found = {"python": platform.python_version(), **_library_versions()}
     return found | registry().versions(study.parts_by_role.values())

@@ -13,6 +13,7 @@ from dafw.views.maps import plot_contours, plot_route
 from dafw.views.places import plot_places
 from dafw.views.section import plot_section
 from dafw.views.series import plot_errors, plot_parameters, plot_state
+from dafw.views.times import plot_times
 
 __all__ = [
     "compare",
@@ -27,4 +28,5 @@ __all__ = [
     "plot_route",
     "plot_section",
     "plot_state",
+    "plot_times",
 ]

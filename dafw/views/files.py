@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import matplotlib
 from matplotlib.figure import Figure
 
 from dafw.core.errors import RunError
@@ -27,9 +28,10 @@ from dafw.views.expected import has_expected, plot_expected
 from dafw.views.innovations import plot_innovations
 from dafw.views.maps import plot_contours, plot_route
 from dafw.views.places import has_places, plot_places
+from dafw.views.printing import SCREEN, Paper, fit
 from dafw.views.section import plot_section
 from dafw.views.series import plot_errors, plot_parameters, plot_state
-from dafw.views.style import RESOLUTION
+from dafw.views.times import plot_times
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -37,7 +39,7 @@ if TYPE_CHECKING:
 LONGEST_OVERRIDE = 40
 
 
-def draw_all(run: Dataset, folder: Path) -> list[Path]:
+def draw_all(run: Dataset, folder: Path, paper: Paper = SCREEN) -> list[Path]:
     """Write every picture for which this run has data, and return the files.
 
     A truth gives err.png, readings give innovations.png. A field on a mesh gives route.png, contours.png and (with a
@@ -68,12 +70,12 @@ def draw_all(run: Dataset, folder: Path) -> list[Path]:
     files = []
     with long_task("drawing pictures", len(pictures), "picture") as bar:
         for name, draw in pictures.items():
-            files.append(save(draw(), Path(folder) / f"{name}.png"))
+            files.append(save(draw(), Path(folder) / f"{name}.{paper.format}", paper))
             bar.update()
     return files
 
 
-def compare(runs: Mapping[str, Dataset], folder: Path) -> list[Path]:
+def compare(runs: Mapping[str, Dataset], folder: Path, paper: Paper = SCREEN) -> list[Path]:
     """Write err.png and innovations.png of several runs, each in its colour, and route.png; return the files.
 
     A run without data for a picture is left out of it, with a message on standard error. route.png is drawn only if
@@ -87,7 +89,7 @@ def compare(runs: Mapping[str, Dataset], folder: Path) -> list[Path]:
     ):
         without = [text for text, run in runs.items() if not has_content(run)]
         if not without or (name != "route" and len(without) < len(runs)):
-            files.append(save(draw(runs), Path(folder) / f"{name}.png"))
+            files.append(save(draw(runs), Path(folder) / f"{name}.{paper.format}", paper))
         if 0 < len(without) < len(runs):
             what = "no route.png" if name == "route" else f"not in {name}.png"
             print(f"dafw: {', '.join(without)}: {lacking}, so {what}", file=sys.stderr)
@@ -96,8 +98,10 @@ def compare(runs: Mapping[str, Dataset], folder: Path) -> list[Path]:
     return files
 
 
-def draw_runs(paths: Sequence[Path], out: Path | None) -> list[Path]:
-    """Draw one run, or compare several, and return the files written.
+def draw_runs(
+    paths: Sequence[Path], out: Path | None, paper: Paper = SCREEN, times: Sequence[float] = ()
+) -> list[Path]:
+    """Draw one run, or compare several, and return the files written; with ``times`` only its maps at these times.
 
     ``paths`` are run folders or their ``run.nc``, or multiruns, which stand for all their runs that have a ``run.nc``.
     Other files that a shell's ``sweep/*`` includes are ignored. The pictures of one run go to ``out`` or to
@@ -108,9 +112,14 @@ def draw_runs(paths: Sequence[Path], out: Path | None) -> list[Path]:
     if not files:
         raise RunError("expected at least one run folder or run.nc to draw, got none")
     runs = [load_run(file) for file in files]
+    folder = out or (files[0].parent / "figures" if len(runs) == 1 else Path("comparison"))
+    if times:
+        if len(runs) > 1:
+            raise RunError(f"plot: --times draws the maps of one run, got {len(runs)} runs")
+        return [save(plot_times(runs[0], times), folder / f"maps.{paper.format}", paper)]
     if len(runs) == 1:
-        return draw_all(runs[0], out or files[0].parent / "figures")
-    return compare(dict(zip(_labels(files, runs), runs, strict=True)), out or Path("comparison"))
+        return draw_all(runs[0], folder, paper)
+    return compare(dict(zip(_labels(files, runs), runs, strict=True)), folder, paper)
 
 
 def _files_of(path: Path, *, alone: bool) -> list[Path]:
@@ -181,9 +190,12 @@ def _short(override: str) -> str:
     return override if len(override) <= LONGEST_OVERRIDE else f"{override[: LONGEST_OVERRIDE - 3]}..."
 
 
-def save(figure: Figure, file: Path) -> Path:
+def save(figure: Figure, file: Path, paper: Paper = SCREEN) -> Path:
     """Write the picture; if this is interrupted, the former file stays, if there was one."""
     file.parent.mkdir(parents=True, exist_ok=True)
-    with atomic_file(file) as stream:
-        figure.savefig(stream, format="png", dpi=RESOLUTION, bbox_inches="tight", pad_inches=0.08)
+    if paper.width is not None:
+        fit(figure, paper.width)
+    # The names of parts in an SVG are random without a salt.
+    with atomic_file(file) as stream, matplotlib.rc_context({"svg.hashsalt": "dafw"}):
+        figure.savefig(stream, **paper.settings())
     return file

@@ -27,9 +27,17 @@ IMPORT = re.compile(r'^import \{ (.+) \} from "\./(\w+)\.js";$', re.MULTILINE)
 EXPORT = re.compile(r"^export (?=(?:async )?(?:function|const|class) (\w+))", re.MULTILINE)
 
 
-def page(data: Mapping[str, Any]) -> str:
-    """Return the page that shows ``data``; with an entry ``live`` it asks its own server for more, and nobody else."""
-    script, style = bundle("main"), _file("page.css")
+def page(data: Mapping[str, Any], frame: str = "page", script: str = "main") -> str:
+    """Return the page that shows ``data``; with an entry ``live`` it asks its own server for more, and nobody else.
+
+    ``frame`` names its HTML and, beside that of all pages, its style; ``script`` the module that puts it together.
+    """
+    return _filled(
+        data, _file(f"{frame}.html"), bundle(script), "".join(map(_file, dict.fromkeys(["page.css", f"{frame}.css"])))
+    )
+
+
+def _filled(data: Mapping[str, Any], frame: str, script: str, style: str) -> str:
     policy = {
         "default-src": "'none'",
         "script-src": f"'sha256-{_hash(script)}'",
@@ -47,7 +55,7 @@ def page(data: Mapping[str, Any]) -> str:
         "DATA": as_json({**data, "colours": colour_maps()}),
     }
     # In one pass, so that a text of the data that looks like one of these marks stays a text.
-    return re.sub(r"\{\{([A-Z]+)\}\}", lambda mark: found[mark[1]], _file("page.html"))
+    return re.sub(r"\{\{([A-Z]+)\}\}", lambda mark: found[mark[1]], frame)
 
 
 def as_json(data: Any) -> str:

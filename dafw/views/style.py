@@ -53,11 +53,19 @@ def run_style(index: int, runs: int) -> dict[str, Any]:
     }
 
 
-def outside_legend(figure: Figure, handles: Sequence[Artist], where: str) -> None:
-    """Put the legend outside the axes, ``upper`` or ``lower``, in as many columns as its longest entry allows."""
+def outside_legend(figure: Figure, handles: Sequence[Artist], where: str, size: float = 1.0) -> None:
+    """Put the legend outside the axes, ``upper`` or ``lower``, in as many columns as its longest entry allows.
+
+    ``size`` is that of its texts, compared with the usual one.
+    """
     longest = max(len(str(handle.get_label())) for handle in handles)
-    columns = max(1, min(6, round(14 * figure.get_figwidth()) // (longest + 5)))
-    figure.legend(handles=handles, loc=f"outside {where} center", ncols=columns, frameon=False)
+    letters = 14 if size == 1.0 else 11 / size  # in an inch; smaller letters leave less room for what stands between
+    columns = max(1, min(6, round(letters * figure.get_figwidth()) // (longest + 5)))
+    points = size * matplotlib.rcParams["font.size"]
+    legend = figure.legend(
+        handles=handles, loc=f"outside {where} center", ncols=columns, frameon=False, fontsize=points
+    )
+    legend.set_gid(where)
 
 
 def time_axis(axes: Axes, time: np.ndarray, units: str) -> None:

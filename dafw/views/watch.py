@@ -5,19 +5,18 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from threading import Lock
 from typing import Any
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import SplitResult, parse_qs
 
-from dafw.core.errors import ConfigurationError, RunError
+from dafw.core.errors import RunError
 from dafw.core.runs import summary_of
 from dafw.views.files import load_run
+from dafw.views.local_server import LocalAnswers, LocalServer
 from dafw.views.report_page import as_json, page
 from dafw.views.report_run import page_of_run
 
-HOST = "127.0.0.1"
 ENDED = ("complete", "failed")
 """States of a run to which nothing is added any more. One that goes on is 'interrupted' until it has ended."""
 SHARE = 0.1
@@ -68,64 +67,31 @@ class Following:
         self._data = data | {"live": {"state": state, "ended": seen[1] in ENDED}}
 
 
-class Server(ThreadingHTTPServer):
+class Server(LocalServer):
     """Answers browsers on this machine alone."""
-
-    daemon_threads = True
 
     def __init__(self, following: Following, port: int = 0) -> None:
         self.following = following
-        try:
-            super().__init__((HOST, port), _Answers)
-        except (OSError, OverflowError) as error:
-            raise ConfigurationError(f"watch: port {port} cannot be used ({error})") from error
-
-    @property
-    def address(self) -> str:
-        """Where the page is."""
-        return f"http://{HOST}:{self.server_address[1]}/"
-
-    def handle_error(self, request: Any, client_address: Any) -> None:
-        """Say nothing of a browser that went away in the middle of an answer; report anything else."""
-        if not isinstance(sys.exception(), ConnectionError):
-            super().handle_error(request, client_address)
+        super().__init__(_Answers, port, "watch")
 
 
-class _Answers(BaseHTTPRequestHandler):
+class _Answers(LocalAnswers):
     """The page at /, and at /data what is new since the state that a page has."""
 
     server: Server
 
-    def do_GET(self) -> None:
-        # A page of elsewhere could reach this server under a name of its own.
-        if self.headers.get("Host", "") not in {f"{name}:{self.server.server_port}" for name in (HOST, "localhost")}:
-            return self._answer(403, "text/plain", "This server answers to its own address only.")
-        asked = urlsplit(self.path)
+    def reply(self, asked: SplitResult) -> None:
         if asked.path not in ("/", "/data"):
-            return self._answer(404, "text/plain", "There is nothing here.")
+            return self.answer(404, "text/plain", "There is nothing here.")
         try:
             data = self.server.following.data()
         except RunError as error:
-            return self._answer(503, "text/plain", str(error))
+            return self.answer(503, "text/plain", str(error))
         if asked.path == "/":
-            return self._answer(200, "text/html", page(data))
+            return self.answer(200, "text/html", page(data))
         if parse_qs(asked.query).get("state") == [data["live"]["state"]]:
-            return self._answer(204, "application/json", "")
-        return self._answer(200, "application/json", as_json(data))
-
-    def _answer(self, status: int, kind: str, text: str) -> None:
-        content = text.encode("utf-8")
-        self.send_response(status)
-        self.send_header("Content-Type", f"{kind}; charset=utf-8")
-        self.send_header("Cache-Control", "no-store")
-        self.send_header("X-Content-Type-Options", "nosniff")
-        if status != 204:
-            self.send_header("Content-Length", str(len(content)))
-        self.end_headers()
-        self.wfile.write(content)
-
-    def log_message(self, format: str, *args: Any) -> None:
-        """Print nothing for each request."""
+            return self.answer(204, "application/json", "")
+        return self.answer(200, "application/json", as_json(data))
 
 
 def watch(path: Path, port: int = 0) -> None:

@@ -149,10 +149,10 @@ def test_one_jobs_failure_is_its_own(monkeypatch, capsys):
 
 
 def test_a_fault_in_one_job_lets_the_others_run(monkeypatch, capsys):
-    def faulty(study, *arguments):
+    def faulty(study, *arguments, **options):
         if study.seed == 1:
             raise KeyError("two\nlines")
-        return run_study(study, *arguments)
+        return run_study(study, *arguments, **options)
 
     monkeypatch.setattr("dafw.commands.run.run_study", faulty)
     words = [*RUN[:-1], "-m", "seed=0,1,2", "hydra.sweep.dir=sweep", "hydra.sweep.subdir=${seed}"]

@@ -145,7 +145,7 @@ def test_runs_are_called_by_what_tells_them_apart(plant_run, tmp_path, monkeypat
     from dafw.views import files
 
     seen = {}
-    monkeypatch.setattr(files, "compare", lambda runs, folder: seen.update(runs) or [])
+    monkeypatch.setattr(files, "compare", lambda runs, folder, paper: seen.update(runs) or [])
     for index, own in enumerate(attributes):
         folder = tmp_path / str(index)
         (folder / ".hydra").mkdir(parents=True)

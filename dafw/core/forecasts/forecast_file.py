@@ -7,15 +7,16 @@ that opens, and a row without ``issue`` is none.
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import netCDF4
 import numpy as np
 
+from dafw.core.checkpoints.journal import Journal
 from dafw.core.cycle import Parts
-from dafw.core.errors import RunError
+from dafw.core.errors import CheckpointError, RunError
 from dafw.core.forecasts.ahead import Ahead, Course
 from dafw.core.forecasts.areas import Places
 from dafw.core.forecasts.chances import chance, exceeded, quantile
@@ -35,8 +36,9 @@ class ForecastFile:
     """A new file for the forecasts of a run.
 
     ``singles`` names those of truth and free run that are run ahead, too; ``start`` is the first belief's field (N, n)
-    with its weights, by which the guess "the gas stays where it was released" is judged. Raises RunError if there is
-    such a file already.
+    with its weights, by which the guess "the gas stays where it was released" is judged. A ``journal`` is told of every
+    forecast; ``before`` are the entries of one: the file is made anew from them and takes its place at the end. Raises
+    RunError if there is such a file already.
     """
 
     def __init__(
@@ -49,13 +51,19 @@ class ForecastFile:
         singles: tuple[str, ...],
         start: tuple[Array, Array | None],
         attributes: Mapping[str, str | int],
+        journal: Journal | None = None,
+        before: Iterable[tuple[dict[str, Any], dict[str, Array]]] | None = None,
     ) -> None:
         self._plan, self._places, self._singles = plan, places, singles
         variable = parts.model.space.variables[0]
         self._name, self._units = variable.name, variable.units
         self._on_mesh: dict[str, str] = {}
+        self._journal = journal
+        beside = path if before is None else path.with_name(f".{path.name}.part")
+        if before is not None:
+            beside.unlink(missing_ok=True)  # a run was killed while it made the file anew
         try:
-            self._file = netCDF4.Dataset(path, "w", clobber=False, format="NETCDF4")
+            self._file = netCDF4.Dataset(beside, "w", clobber=False, format="NETCDF4")
         except OSError as error:
             raise RunError(f"{path}: cannot be written, or is there already ({error})") from error
         self._file.setncatts(
@@ -85,7 +93,17 @@ class ForecastFile:
         if singles:
             self._released(*start)
         self._row = 0
+        if before is not None:
+            self._repeat(before)
+            beside.replace(path)
         self._file.sync()
+
+    def _repeat(self, entries: Iterable[tuple[dict[str, Any], dict[str, Array]]]) -> None:
+        try:
+            for told, arrays in entries:
+                self._write(float(told["issue"]), arrays)
+        except (LookupError, TypeError, ValueError) as error:
+            raise CheckpointError(f"its forecasts do not fit the study ({type(error).__name__}: {error})") from error
 
     def _coordinates(self, size: int, coordinates: Array | None) -> None:
         plan, file = self._plan, self._file
@@ -182,7 +200,6 @@ class ForecastFile:
 
     def write(self, belief: Ahead, singles: Mapping[str, Ahead]) -> None:
         """Add a forecast and synchronise the file."""
-        row = self._row
         values: dict[str, Any] = {"valid_time": belief.time + np.array(self._plan.leads)}
         for prefix, kind in (("", "nodes"), ("area_", "areas"), ("building_", "buildings")):
             course: Course = getattr(belief, kind)
@@ -201,9 +218,14 @@ class ForecastFile:
             weights, size = belief.areas.weights, len(belief.areas.dose)
             values["area_arrival_time_members"] = _known(belief.areas.arrival)
             values["weight"] = np.full(size, 1.0 / size) if weights is None else weights
+        self._write(belief.time, values)
+        if self._journal is not None:
+            self._journal.add({"issue": belief.time}, values)
+
+    def _write(self, issue: float, values: Mapping[str, Any]) -> None:
         for name, found in values.items():
-            self._file.variables[name][row] = found
-        self._file.variables["issue"][row] = belief.time
+            self._file.variables[name][self._row] = found
+        self._file.variables["issue"][self._row] = issue
         self._file.sync()
         self._row += 1
 

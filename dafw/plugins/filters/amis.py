@@ -54,6 +54,7 @@ from dafw.plugins.filters.kernels import Kernels
 from dafw.plugins.filters.likelihood import Likelihood
 from dafw.plugins.filters.linearised import can_linearise, linearised
 from dafw.plugins.filters.shown import members_drawn
+from dafw.plugins.filters.slow_sensors import as_shown, response_seen
 
 HOPELESS = 30.0
 """A proposal whose log prior is this much below the best sample's has no weight and is not run."""
@@ -111,7 +112,9 @@ class AMIS(Filter):
             leading = clipped(log_base + fit, int(min(max(size, n_moments(len(controls))), 0.5 * len(samples))))
             by_slopes = batches % 2 == 0 and not self.likelihood.has_background and can_linearise(controls, leading)
             if by_slopes:
-                proposal = linearised(controls, samples, leading, weights, window, self.likelihood, size, rng.random())
+                shown = as_shown(window, samples.predicted, samples.fit, weights, self.likelihood)
+                seen = replace(samples, predicted=shown)
+                proposal = linearised(controls, seen, leading, weights, window, self.likelihood, size, rng.random())
             else:
                 proposal = Kernels.around(controls, samples.coordinates, leading, size, rng)
             kernels = kernels.joined(proposal)
@@ -135,6 +138,7 @@ class AMIS(Filter):
         memory = {**kept.to_memory(), **kernels.to_memory(), **done, **always}
         diagnostics = self._diagnostics(samples, weights, batches * size)
         diagnostics |= self.likelihood.seen(window, samples.predicted, samples.fit, weights)
+        diagnostics |= response_seen(samples.fit, weights, self.likelihood)
         return Analysis(members, memory, diagnostics, shares, model_memory=belief.memory)
 
     def _known(self, window: Window, controls: Controls) -> tuple[Candidates, Kernels]:

@@ -13,6 +13,7 @@ from dafw.core.space import Array, IntArray, StateSpace
 from dafw.core.window import Window
 from dafw.plugins.filters.controls import Controls
 from dafw.plugins.filters.likelihood import Likelihood
+from dafw.plugins.filters.slow_sensors import fit_of_slow_sensors
 
 MODEL = "model "
 """Prefix of the model's memory among the arrays of ``Candidates.to_memory``."""
@@ -27,7 +28,7 @@ class Candidates:
     log_prior    (P,) log density of the first guess, of the coordinates
     log_proposal (P,) log density that importance sampling divides by; zero where they are not weighted by it
     log_kept     (P,) log probability that a candidate was kept whenever candidates were given up; zero before
-    fit          (P, S) log likelihood of all readings so far, for each size of the model's error
+    fit          (P, S) log likelihood of all readings so far, for each response time and size of the model's error
     predicted    (P, M) their predictions of all readings so far, in the order of the cycles
     now          the candidates at the end of the present cycle, with the model's memory
     """
@@ -161,10 +162,12 @@ def _fit(
 ) -> Array:
     """Return the log likelihood (P, S) of all readings so far, from the predictions (P, M) of them.
 
-    That ``before`` (P, S) of the readings of the cycles before ``since`` is added to, unless backgrounds tie all
-    readings together.
+    That ``before`` (P, S) of the readings of the cycles before ``since`` is added to, unless backgrounds or slow
+    sensors tie all readings together.
     """
-    fit = np.zeros((len(predicted), len(likelihood.sizes)))
+    fit = np.zeros((len(predicted), likelihood.n_cases))
+    if likelihood.has_slow_sensors:
+        return fit_of_slow_sensors(window, predicted, likelihood) if predicted.shape[1] else fit
     if likelihood.has_background:
         return likelihood.of_sequence(window.cycles, predicted).fit if predicted.shape[1] else fit
     column = readings_before(window, since)

@@ -14,6 +14,8 @@ With ``background.sd`` every sensor has an unknown background that drifts, and m
 be on and off. The likelihood is then that of the whole sequence of readings (background.py), whose errors are relative
 to the prediction.
 
+If sensors are slow, one of several ``response_time`` is estimated likewise (slow_sensors.py).
+
 A reading below ``detection_limit``, or below the limit that it has itself, says only that the truth is below it.
 """
 
@@ -72,6 +74,9 @@ class Likelihood:
     detection_limit: float | None = option(
         None, "a reading below it means only: less than this; null: only readings with a limit of their own mean so"
     )
+    response_time: list[float] = option(
+        [0.0], "possible time constants of sensors that follow slowly what they meet, s; 0: at once"
+    )
     background: Background = option(Background, "unknown backgrounds of the sensors, and a source that is on and off")
 
     def __post_init__(self) -> None:
@@ -80,6 +85,11 @@ class Likelihood:
             if not sizes or any(isinstance(size, bool) or not size >= 0.0 for size in sizes):
                 raise ConfigurationError(f"likelihood.{name} must list one or more sizes of at least 0, got {sizes}")
 
+        times = self.response_time
+        if not times or any(isinstance(time, bool) or not 0.0 <= time < np.inf for time in times):
+            raise ConfigurationError(
+                f"likelihood.response_time must list one or more times of at least 0 s, got {times}"
+            )
         if self.background.sd is None:
             for name in ("on_off", "gain_sd"):
                 if getattr(self.background, name) is not None:
@@ -91,11 +101,23 @@ class Likelihood:
             raise ConfigurationError(
                 f"likelihood.detection_limit cannot be used with background.sd, got {self.detection_limit:g}"
             )
+        if self.has_slow_sensors:
+            raise ConfigurationError(f"likelihood.response_time cannot be used with background.sd, got {times}")
 
     @property
     def has_background(self) -> bool:
         """Whether sensors have unknown backgrounds, so that only the sequence of all readings can be judged."""
         return self.background.sd is not None
+
+    @property
+    def has_slow_sensors(self) -> bool:
+        """Whether sensors may follow slowly, so that a reading depends on what was met before."""
+        return any(time > 0.0 for time in self.response_time)
+
+    @property
+    def n_cases(self) -> int:
+        """How many pairs of sizes there are for all response times, T S: the columns of a sample's ``fit``."""
+        return len(self.response_time) * len(self.sizes)
 
     def of_sequence(self, cycles: Sequence[PastCycle], predicted: Array) -> Judged:
         """Return what the readings of all cycles say of candidates that predict ``predicted`` (P, M)."""
@@ -198,11 +220,11 @@ class Likelihood:
         """Return s^2 (m,) of readings for the sizes that fit best, without correlations.
 
         predicted    (m,) what one member predicts
-        fit          (S,) its log likelihoods, for each pair of ``sizes``
+        fit          (T S,) its log likelihoods, for each response time and pair of ``sizes``
         values       (m,) the readings
         covariance   (m,) or (m, m) R
         """
-        absolute, relative = self.sizes[np.argmax(fit)]
+        absolute, relative = self.sizes[np.argmax(fit) % len(self.sizes)]
         of_reading = covariance if covariance.ndim == 1 else np.diagonal(covariance)
         return np.asarray(of_reading + _of_model(absolute, relative, predicted, values))
 
@@ -223,11 +245,11 @@ class Likelihood:
     def size_of_error(self, fit: Array, weights: Array) -> Array:
         """Return the sizes (2,) of the model's error, absolute and relative, on average over members.
 
-        fit        (N, S) log likelihoods, for each pair of ``sizes``
+        fit        (N, T S) log likelihoods, for each response time and pair of ``sizes``
         weights    (N,) of the members, which add up to one
         """
         of_sizes = np.exp(fit - np.logaddexp.reduce(fit, axis=1, keepdims=True))
-        return np.asarray((weights @ of_sizes) @ self.sizes)
+        return np.asarray((weights @ of_sizes) @ np.tile(self.sizes, (len(self.response_time), 1)))
 
 
 def _of_model(absolute: Array, relative: Array, predicted: Array, values: Array) -> Array:

@@ -52,6 +52,7 @@ from dafw.plugins.filters.candidates import (
 )
 from dafw.plugins.filters.controls import Controls
 from dafw.plugins.filters.likelihood import Likelihood
+from dafw.plugins.filters.slow_sensors import response_seen
 
 POWERS = np.append(0.0, np.geomspace(1e-6, 1.0, 200))
 """Powers of the likelihood that are considered; from one to the next the effective size hardly changes."""
@@ -132,6 +133,7 @@ class SMC(Filter):
         }
         diagnostics = {name: Diagnostic(value, long_name=text) for name, (value, text) in named.items()}
         diagnostics |= self.likelihood.seen(window, members.predicted, members.fit, weights)
+        diagnostics |= response_seen(members.fit, weights, self.likelihood)
         memory = {**members.to_memory(), **done}
         return Analysis(belief, memory, diagnostics, weights, model_memory=members.now.memory)
 

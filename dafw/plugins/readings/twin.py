@@ -12,7 +12,6 @@ not know of it. After 3 T a sensor that stands still shows 95 % of a sudden chan
 
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +22,7 @@ from dafw.core.interfaces import Readings
 from dafw.core.interfaces.readings import Request, Taken
 from dafw.core.observation import Observation, colour
 from dafw.core.options import option
+from dafw.core.sensor_response import reading_times
 from dafw.core.space import Array
 
 
@@ -62,10 +62,8 @@ class Twin(Readings):
                 f"does not tell (ObservationOperator.sensors)"
             )
         memory, shown = dict(memory), np.empty_like(met)
-        counts, taken = Counter(sensors or ()), Counter[str]()
-        for number, sensor in enumerate(sensors or ()):
-            taken[sensor] += 1
-            time = request.start + (request.end - request.start) * taken[sensor] / counts[sensor]
+        times = reading_times(sensors or (), request.start, request.end)
+        for number, (sensor, time) in enumerate(zip(sensors or (), times, strict=True)):
             before, last = memory.get(sensor, (0.0, 0.0))
             shown[number] = met[number] + (before - met[number]) * np.exp(-(time - last) / self.lag)
             memory[sensor] = np.array([shown[number], time])

@@ -35,9 +35,10 @@ export function showMarks(data) {
   document.querySelector("#maps .marks").replaceChildren(...marks);
 }
 
-const CIRCLE = "M12 7a5 5 0 1 1-10 0 5 5 0 0 1 10 0z";
+export const CIRCLE = "M12 7a5 5 0 1 1-10 0 5 5 0 0 1 10 0z";
 
-function mark(path, colour, label) {
+/** Return an entry of a legend: the outline of a mark in a square of 14, its colour, and what it means. */
+export function mark(path, colour, label) {
   const space = "http://www.w3.org/2000/svg";
   const drawing = document.createElementNS(space, "svg");
   drawing.setAttribute("viewBox", "0 0 14 14");

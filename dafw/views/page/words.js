@@ -1,5 +1,6 @@
 // The command, the tables, the configuration, and how exact the page is.
 
+import { commandBlock } from "./command.js";
 import { element } from "./dom.js";
 import { tickLabel, withUnits } from "./format.js";
 
@@ -10,7 +11,7 @@ export function showWords(data) {
   room.replaceChildren();
   const { words } = data;
   const started = "This run was started from Python: no command repeats it.";
-  room.append(words.command ? command(words.command, data.kind) : element("p", { class: "wide" }, [started]));
+  room.append(words.command ? repeating(words.command, data.kind) : element("p", { class: "wide" }, [started]));
   for (const { title, rows } of words.tables) {
     const lines = rows.map(([name, value]) => {
       return element("tr", {}, [element("th", { scope: "row" }, [name]), element("td", {}, [value])]);
@@ -27,22 +28,8 @@ export function showWords(data) {
   if (notes) room.append(element("p", { class: "wide hint", id: "exactness" }, [notes]));
 }
 
-function command(text, kind) {
-  const shown = element("pre", { tabindex: "0", id: "command" }, [text]);
-  const button = element("button", { type: "button" }, ["Copy"]);
-  button.addEventListener("click", async () => {
-    // A page that was opened from a disk may not be allowed to copy; then the text is selected.
-    getSelection().selectAllChildren(shown);
-    try {
-      await navigator.clipboard.writeText(text);
-      button.textContent = "Copied";
-    } catch {
-      button.textContent = "Selected";
-    }
-  });
-  const title = element("h3", {}, [`The command that repeats this ${kind}`]);
-  const line = element("div", { class: "line" }, [title, button]);
-  return element("div", { class: "wide command" }, [line, shown]);
+function repeating(text, kind) {
+  return commandBlock(`The command that repeats this ${kind}`, text).block;
 }
 
 /** Say how much the page's numbers differ from those of the run's file. */

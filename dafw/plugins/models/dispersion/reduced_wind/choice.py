@@ -53,6 +53,11 @@ def basis_for(tagged_mesh: TaggedMesh, options: WindOptions) -> StoredBasis:
     return StoredBasis(store, digest, basis)
 
 
+def is_made(tagged_mesh: TaggedMesh, options: WindOptions) -> bool:
+    """Return whether the cache holds the basis for a mesh and options, so that no run has to make it."""
+    return (_store(tagged_mesh, options).folder / "made").exists()
+
+
 def _made(tagged_mesh: TaggedMesh, options: WindOptions, store: BasisStore) -> tuple[str, ReducedBasis]:
     """Make a basis and save it."""
     basis = build(tagged_mesh, options)

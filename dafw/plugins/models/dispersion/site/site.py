@@ -89,13 +89,18 @@ class Site:
         return [head] + [f"{count} {REPORT[key]}" for key, count in self.report.items() if count or key == "buildings"]
 
 
+def file_of(options: SiteOptions) -> Path:
+    """Return the path of the GeoJSON file of a site."""
+    return Path(__file__).with_name("plant.geojson") if options.file == "plant" else Path(options.file).expanduser()
+
+
 def load_site(options: SiteOptions) -> Site:
     """Read the GeoJSON file and make a site from it.
 
     Longitude and latitude are linearised about the centre of the site, with the metres per degree of the WGS84
     ellipsoid at that place. Raises SiteError if the file, the coordinates or the bounds do not describe a site.
     """
-    path = Path(__file__).with_name("plant.geojson") if options.file == "plant" else Path(options.file).expanduser()
+    path = file_of(options)
     report = dict.fromkeys(REPORT, 0)
     outlines = read_outlines(path, report)
     rings = [ring for outline in outlines for ring in outline.rings]

@@ -1,0 +1,94 @@
+"""What must be the same for a run to go on: the configuration, the versions, and the start that both lead to."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, fields, is_dataclass
+from typing import Any
+from zlib import crc32
+
+import numpy as np
+
+from dafw.core.cycle import State
+from dafw.core.registry import registry
+from dafw.core.study import Study
+
+NOT_COMPARED = ("resume", "checkpoint", "pictures")
+"""Entries of a configuration that do not change the numbers of a run."""
+OWN = ("start", "speed", "members", "cycles", "seed", "late_readings", "record", "record_fields", "section", "name")
+
+
+def described(study: Study) -> dict[str, Any]:
+    """Return a study's configuration as plain values, without what does not change its numbers.
+
+    Of a study that was made of objects these are the classes of its parts and their options.
+    """
+    if study.configuration is not None:
+        return compared(study.configuration)
+    parts = {role: {"class": _class(part), **_options(part)} for role, part in study.parts_by_role.items()}
+    own = {name: getattr(study, name) for name in OWN}
+    return dict(_plain({**parts, **own, "forecast": asdict(study.forecast)}))
+
+
+def compared(configuration: Mapping[str, Any]) -> dict[str, Any]:
+    """Return of a composed configuration what changes the numbers of a run."""
+    return dict(_plain({name: one for name, one in configuration.items() if name not in NOT_COMPARED}))
+
+
+def digest(configuration: Mapping[str, Any]) -> str:
+    """Return a short text that is the same for the same configuration."""
+    return hashlib.sha256(json.dumps(configuration, sort_keys=True).encode()).hexdigest()[:32]
+
+
+def difference(before: Any, now: Any, path: str = "") -> str:
+    """Return the first entry in which two configurations differ, in words."""
+    if isinstance(before, dict) and isinstance(now, dict):
+        for key in dict.fromkeys([*before, *now]):
+            if key not in before or key not in now or before[key] != now[key]:
+                return difference(before.get(key), now.get(key), f"{path}.{key}".removeprefix("."))
+    return f"{path} = {json.dumps(before)}, now it is {json.dumps(now)}"
+
+
+def changed_versions(before: Mapping[str, str], now: Mapping[str, str]) -> list[str]:
+    """Return the packages whose versions differ, in words: ``numpy was 2.2.0 and is 2.3.1``."""
+    return [
+        f"{name} was {before.get(name, 'not there')} and is {now.get(name, 'not there')}"
+        for name in dict.fromkeys([*before, *now])
+        if before.get(name) != now.get(name)
+    ]
+
+
+def start_digest(state: State) -> str:
+    """Return a short text that is the same for the same bits of the belief, truth and free run at the start."""
+    found = (None if one is None else one.ensemble.members for one in (state.belief, state.truth, state.free))
+    return " ".join("none" if one is None else f"{crc32(np.ascontiguousarray(one)):08x}" for one in found)
+
+
+def _options(part: Any) -> dict[str, Any]:
+    recipe = registry().recipe(part)
+    if recipe is None and is_dataclass(part):
+        recipe = {one.name: getattr(part, one.name) for one in fields(part) if one.init}
+    return dict(recipe or {})
+
+
+def _class(part: Any) -> str:
+    return f"{type(part).__module__}:{type(part).__qualname__}"
+
+
+def _plain(values: Any) -> Any:
+    return json.loads(json.dumps(values, default=_told))
+
+
+def _told(value: Any) -> Any:
+    """Return as plain values what JSON does not know."""
+    if isinstance(value, np.ndarray):
+        return {"shape": list(value.shape), "sha256": hashlib.sha256(np.ascontiguousarray(value)).hexdigest()}
+    if isinstance(value, np.generic):
+        return value.item()
+    if is_dataclass(value) and not isinstance(value, type):
+        return asdict(value)
+    if isinstance(value, set | frozenset):
+        return sorted(value, key=repr)
+    return f"a {type(value).__name__}"
