@@ -237,7 +237,8 @@ def test_a_journal_repeats_its_run(tmp_path):
 def test_a_live_run_that_was_killed_keeps_its_journal_and_does_not_go_on(tmp_path):
     study = waves()
     rehearsed(study, tmp_path / "live")
-    folder, live = tmp_path / "live", replace(study, readings=Live(source=str(tmp_path / "live.jsonl")))
+    source = Live.from_options(source=str(tmp_path / "live.jsonl"), patience=30.0)
+    folder, live = tmp_path / "live", replace(study, readings=source, truth=None)
     assert not (folder / "checkpoint").exists()
     told = json.loads((folder / "summary.json").read_text())
     (folder / "summary.json").write_text(json.dumps({**told, "status": "interrupted"}))
