@@ -19,11 +19,11 @@ def killed(monkeypatch, call, cycle):
     """Call ``call()``, which runs a study and is ended at the beginning of its ``cycle``-th cycle, counted from 1."""
     advance, calls = running.advance, []
 
-    def counted(parts, state):
+    def counted(parts, state, *more):
         calls.append(state)
         if len(calls) == cycle:
             raise Killed
-        return advance(parts, state)
+        return advance(parts, state, *more)
 
     monkeypatch.setattr(running, "advance", counted)
     ended = False
