@@ -61,6 +61,7 @@ def fetch_command(words: Sequence[str]) -> int:
     if not file.parent.is_dir() or file.is_dir():
         raise ConfigurationError(f"{file}: cannot be written, expected a file in a folder that exists")
     # Here, because they load shapely and pyproj, which --help does not need.
+    from dafw.plugins.models.dispersion.cache import cache_folder
     from dafw.plugins.models.dispersion.site.area import area_around, area_between
     from dafw.plugins.models.dispersion.site.fetch import ATTRIBUTION, fetch
     from dafw.plugins.models.dispersion.site.overpass import PUBLIC_SERVER, require_server
@@ -68,7 +69,7 @@ def fetch_command(words: Sequence[str]) -> int:
     area = area_between(asked.bbox) if asked.bbox is not None else area_around(asked.around)
     server = asked.server or os.environ.get(SERVER) or PUBLIC_SERVER
     require_server(server)
-    found = fetch(area, file, server, asked.timeout, anew=asked.anew, say=_say)
+    found = fetch(area, file, server, asked.timeout, cache=cache_folder(), anew=asked.anew, say=_say)
     count = len(found.features)
     date = f", data of {found.date}" if found.date else ""
     print(f"{file}: {count} building{'' if count == 1 else 's'}{date}")

@@ -13,7 +13,6 @@ from pathlib import Path
 from dafw.core.errors import FetchError, SiteError
 from dafw.core.files import atomic_file, write_atomically
 from dafw.core.progress import long_task
-from dafw.plugins.models.dispersion.cache import cache_folder
 from dafw.plugins.models.dispersion.site.area import Area
 from dafw.plugins.models.dispersion.site.osm import Found, read_answer
 from dafw.plugins.models.dispersion.site.overpass import ask, query_of
@@ -31,6 +30,7 @@ def fetch(
     server: str,
     timeout: float,
     *,
+    cache: Path,
     anew: bool = False,
     say: Callable[[str], None],
     sleep: Callable[[float], None] = time.sleep,
@@ -42,6 +42,7 @@ def fetch(
         file: a GeoJSON file that ``load_site`` reads.
         server: the address of an Overpass server.
         timeout: seconds for one try.
+        cache: the folder in which answers are kept.
         anew: ask the server, even if its answer to the same question was kept.
         say: is told, in a line, what else there is to know.
         sleep: waits for some seconds before the server is asked again.
@@ -50,7 +51,7 @@ def fetch(
     SiteError if there is no building in the area.
     """
     question = f"{server} {query_of(area, 1.0)}"  # the same, however long the server may take
-    kept = cache_folder() / f"overpass-{hashlib.sha256(question.encode()).hexdigest()[:32]}.json"
+    kept = cache / f"overpass-{hashlib.sha256(question.encode()).hexdigest()[:32]}.json"
     found = None if anew else _from_cache(kept, server, area, say)
     if found is None:
         with long_task(f"asking {server}"):

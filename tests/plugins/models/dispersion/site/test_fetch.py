@@ -69,10 +69,11 @@ def server(monkeypatch, tmp_path):
 def ask(server, tmp_path):
     """Return a function that fetches after some tricks; it returns the file, what was said, and the pauses."""
 
-    def fetched(*tricks, area=AREA, timeout=20.0, **more):
+    def fetched(*tricks, area=AREA, timeout=20.0, cache=tmp_path / "cache", **more):
         server.tricks[:] = tricks
         file, said, pauses = tmp_path / "site.geojson", [], []
-        found = fetch(area, file, server.address, timeout, say=said.append, sleep=pauses.append, **more)
+        told = {"say": said.append, "sleep": pauses.append}
+        found = fetch(area, file, server.address, timeout, cache=cache, **told, **more)
         return found, file, said, pauses
 
     return fetched
@@ -231,13 +232,12 @@ def test_an_answer_without_an_end_is_refused(ask, monkeypatch):
         ask(endless)
 
 
-def test_a_server_that_is_not_there_is_not_asked_again(tmp_path, monkeypatch):
-    monkeypatch.setenv("DAFW_CACHE", str(tmp_path))
+def test_a_server_that_is_not_there_is_not_asked_again(tmp_path):
     with socket.socket() as unused:
         unused.bind(("127.0.0.1", 0))
         address = f"http://127.0.0.1:{unused.getsockname()[1]}/api"
         with pytest.raises(FetchError, match=r"cannot be reached \(Connection refused\)"):
-            fetch(AREA, tmp_path / "site.geojson", address, 5.0, say=pytest.fail, sleep=pytest.fail)
+            fetch(AREA, tmp_path / "site.geojson", address, 5.0, cache=tmp_path, say=pytest.fail, sleep=pytest.fail)
 
 
 # --- the cache ------------------------------------------------------------------------------------------------------
@@ -270,10 +270,9 @@ def test_a_wrong_answer_is_not_kept(ask, server):
     assert len(ask(sends(answer_of([HALL])))[0].features) == 1 and len(server.asked) == 2
 
 
-def test_without_a_cache_it_goes_on_and_says_so(ask, tmp_path, monkeypatch):
+def test_without_a_cache_it_goes_on_and_says_so(ask, tmp_path):
     (tmp_path / "file").touch()
-    monkeypatch.setenv("DAFW_CACHE", str(tmp_path / "file"))
-    found, _, said, _ = ask(sends(answer_of([HALL])))
+    found, _, said, _ = ask(sends(answer_of([HALL])), cache=tmp_path / "file")
     assert len(found.features) == 1 and "cannot be kept" in said[0]
 
 
