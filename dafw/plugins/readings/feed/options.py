@@ -21,7 +21,7 @@ class FeedOptions(ErrorOptions):
 
     source: str = option(
         "-",
-        "- for standard input, mqtt for a broker, the path of a file that grows, of a named pipe or of the "
+        "standard input (-), a broker (mqtt), the path of a file that grows, of a named pipe or of the "
         "journal.jsonl of a run, or 'example' for a few messages that ship with dafw",
     )
     mqtt: BrokerOptions = option(BrokerOptions, "the broker, for source=mqtt and advice=mqtt")
