@@ -21,6 +21,16 @@ SKIN = 1e-3
 """Depth in metres to which ``Domain.distances`` lets a segment touch an obstacle."""
 
 
+def node_areas(nodes: Array, triangles: NDArray[Any]) -> Array:
+    """Return the area (M,) that belongs to each of the nodes (M, 2): a third of its triangles (faces, 3).
+
+    The sum of areas times values is the integral of a field that is linear in the triangles.
+    """
+    a, b, c = np.moveaxis(nodes[triangles], 1, 0)
+    areas = 0.5 * np.abs((b - a)[:, 0] * (c - a)[:, 1] - (c - a)[:, 0] * (b - a)[:, 1])
+    return np.asarray(np.bincount(triangles.ravel(), np.repeat(areas / 3.0, 3), minlength=len(nodes)))
+
+
 @dataclass(frozen=True, eq=False)
 class Domain:
     """A rectangle ``bounds`` (x_min, y_min, x_max, y_max) in metres with polygonal obstacles.

@@ -8,7 +8,6 @@ run's own file must be written.
 from __future__ import annotations
 
 import json
-import logging
 import os
 import sys
 from collections.abc import Callable, Mapping
@@ -21,14 +20,15 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from dafw.core.cycle import Parts, State
+from dafw.core.domain import node_areas
 from dafw.core.ensemble import Ensemble, Route
 from dafw.core.errors import ConfigurationError, RecordError
 from dafw.core.geography import to_degrees
-from dafw.core.space import Array, Kind, StateSpace
+from dafw.core.space import Kind, StateSpace
 from dafw.core.study import Study
 from dafw.plugins.readings.live import Live
+from dafw.studies.reporting import warn_once
 
-log = logging.getLogger("dafw")
 FILE = "advice.jsonl"
 QUANTILES = (0.05, 0.5, 0.95)
 EXTENT = 0.1
@@ -88,11 +88,8 @@ class Advice:
             try:
                 write(line)
             except OSError as error:
-                if place not in self._warned:
-                    self._warned.add(place)
-                    text = f"advice does not reach {place} ({error.strerror or error}); it is in {FILE}"
-                    log.warning("%s", text)
-                    print(f"dafw: warning: {text}", file=sys.stderr)
+                text = f"advice does not reach {place} ({error.strerror or error}); it is in {FILE}"
+                warn_once(self._warned, place, text)
 
 
 def _way_to(place: str, parts: Parts) -> Callable[[bytes], None]:
@@ -189,7 +186,7 @@ def gas_of(
     nodes = variable.coordinates
     if variable.kind is not Kind.NONNEGATIVE or nodes is None or nodes.shape[1] != 2 or not mean.max() > 0.0:
         return {}, certain
-    area = _node_areas(np.asarray(nodes), triangles)
+    area = np.ones(len(nodes)) if triangles is None else node_areas(np.asarray(nodes), triangles)
     centre = (area * mean) @ nodes / (area @ mean)
     masses = belief.members[:, part] @ area
     there = masses > 0.0
@@ -205,15 +202,6 @@ def gas_of(
     if share.sum() > 0.0:
         certain["centre_sd"] = float(np.sqrt(share @ (off**2).sum(axis=1) / share.sum()))
     return gas, certain
-
-
-def _node_areas(nodes: Array, triangles: Any) -> Array:
-    """Return the area (M,) of each node, a third of its triangles'; ones without a mesh."""
-    if triangles is None:
-        return np.ones(len(nodes))
-    a, b, c = (nodes[triangles[:, corner]] for corner in range(3))
-    areas = 0.5 * np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
-    return np.bincount(np.ravel(triangles, order="F"), np.tile(areas / 3.0, 3), minlength=len(nodes))
 
 
 def _finite(value: float) -> float | None:

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from xarray import DataArray, Dataset
 
+from dafw.core.domain import node_areas
 from dafw.core.errors import RunError
 from dafw.core.files import atomic_file
 from dafw.core.forecasts.contours import contour_of
@@ -82,7 +83,7 @@ def scores_of(forecasts: Dataset, where: str = "forecast.nc") -> Dataset:
     limits = forecasts["threshold"].values
     happened = truth[:, :, np.newaxis] > limits[:, np.newaxis]
     guesses, contours = guesses_of(forecasts, ""), _contours(forecasts, truth)
-    shares = node_areas(forecasts)
+    shares = node_shares(forecasts)
     coordinates = {dim: forecasts[dim].values for dim in DIMS} | {"bin": np.arange(BINS + 1) / BINS}
     scores = Dataset(coords=coordinates, attrs={"scored_variable": name, "horizon": horizon_of(forecasts)})
     for rival, guess in guesses.items():
@@ -135,16 +136,14 @@ def horizon_of(forecasts: Dataset) -> float:
     return float(forecasts.attrs["horizon"])
 
 
-def node_areas(forecasts: Dataset) -> Array:
+def node_shares(forecasts: Dataset) -> Array:
     """Return the share (n,) of the site that belongs to each node: a third of its triangles; without a mesh equal."""
     size = forecasts.sizes["node"]
     if "mesh2d_face_nodes" not in forecasts:
         return np.full(size, 1.0 / size)
-    corners = forecasts["mesh2d_face_nodes"].values.astype(int)
-    x, y = (forecasts[axis].values[corners] for axis in ("node_x", "node_y"))
-    areas = 0.5 * np.abs((x[:, 1] - x[:, 0]) * (y[:, 2] - y[:, 0]) - (x[:, 2] - x[:, 0]) * (y[:, 1] - y[:, 0]))
-    shares = np.bincount(corners.ravel(), weights=np.repeat(areas / 3.0, 3), minlength=size)
-    return shares / shares.sum()
+    nodes = np.column_stack([forecasts[axis].values for axis in ("node_x", "node_y")])
+    areas = node_areas(nodes, forecasts["mesh2d_face_nodes"].values.astype(int))
+    return areas / areas.sum()
 
 
 def _values(forecasts: Dataset, name: str, *dims: str) -> Array:

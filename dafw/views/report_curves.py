@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from dafw.core.domain import node_areas
 from dafw.views.contents import (
     has_innovations,
     has_map,
@@ -149,7 +150,8 @@ def _scalar(run: Dataset, name: str) -> dict[str, Any]:
 
 def _total(run: Dataset) -> dict[str, Any]:
     """Return the integral of the scored variable over the mesh; it is exact for a field that is linear in triangles."""
-    scored, weights = scored_variable(run), node_areas(run)
+    scored, mesh = scored_variable(run), triangulation(run)
+    weights = node_areas(np.column_stack([mesh.x, mesh.y]), mesh.triangles)
     units = str(run[f"{scored}_mean"].attrs.get("units", ""))
     lines = []
     for key, label in STAGES.items():
@@ -164,14 +166,6 @@ def _total(run: Dataset) -> dict[str, Any]:
         "floor": 0.0,
         "log": True,
     }
-
-
-def node_areas(run: Dataset) -> np.ndarray:
-    """Return the area (nodes,) in m^2 that belongs to each node: a third of its triangles."""
-    mesh = triangulation(run)
-    x, y = mesh.x[mesh.triangles], mesh.y[mesh.triangles]
-    double = (x[:, 1] - x[:, 0]) * (y[:, 2] - y[:, 0]) - (x[:, 2] - x[:, 0]) * (y[:, 1] - y[:, 0])
-    return np.bincount(mesh.triangles.ravel(), np.repeat(np.abs(double) / 6.0, 3), minlength=mesh.x.size)
 
 
 def spoken(name: str) -> str:
