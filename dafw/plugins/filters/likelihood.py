@@ -146,7 +146,7 @@ class Likelihood:
         if not self.has_background:
             return {}
         found = self.of_sequence(window.cycles, predicted)
-        share = np.exp(fit - np.logaddexp.reduce(fit, axis=1, keepdims=True)) * weights[:, np.newaxis]
+        share = shares_of_cases(fit) * weights[:, np.newaxis]
         background, expected = np.tensordot(share, found.background, 2), np.tensordot(share, found.expected, 2)
         names = ", ".join(found.sensors)
         gains = {}
@@ -248,8 +248,12 @@ class Likelihood:
         fit        (N, T S) log likelihoods, for each response time and pair of ``sizes``
         weights    (N,) of the members, which add up to one
         """
-        of_sizes = np.exp(fit - np.logaddexp.reduce(fit, axis=1, keepdims=True))
-        return np.asarray((weights @ of_sizes) @ np.tile(self.sizes, (len(self.response_time), 1)))
+        return np.asarray((weights @ shares_of_cases(fit)) @ np.tile(self.sizes, (len(self.response_time), 1)))
+
+
+def shares_of_cases(fit: Array) -> Array:
+    """Return the probability (N, S) of each column of log likelihoods (N, S), for every member: they add up to one."""
+    return np.asarray(np.exp(fit - np.logaddexp.reduce(fit, axis=1, keepdims=True)))
 
 
 def _of_model(absolute: Array, relative: Array, predicted: Array, values: Array) -> Array:

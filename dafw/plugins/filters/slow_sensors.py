@@ -14,10 +14,11 @@ import numpy as np
 
 from dafw.core.ensemble import Diagnostic
 from dafw.core.errors import ConfigurationError
+from dafw.core.observation import merged_observations
 from dafw.core.sensor_response import followed, reading_times
 from dafw.core.space import Array
 from dafw.core.window import Window
-from dafw.plugins.filters.likelihood import Likelihood
+from dafw.plugins.filters.likelihood import Likelihood, shares_of_cases
 
 
 def fit_of_slow_sensors(window: Window, predicted: Array, likelihood: Likelihood) -> Array:
@@ -27,20 +28,13 @@ def fit_of_slow_sensors(window: Window, predicted: Array, likelihood: Likelihood
     sensor takes a reading.
     """
     seen = [cycle.observation for cycle in window.cycles if cycle.observation.values.size]
-    limits = None
-    if any(one.operator.limits is not None for one in seen):
-        own = ((one.operator.limits, one.values.size) for one in seen)
-        limits = np.concatenate([np.full(size, np.nan) if limit is None else limit for limit, size in own])
+    readings = merged_observations(seen, window.forecast.ensemble.time)
     sensors, times = _taken(window)
-    return np.concatenate(
-        [
-            likelihood.log_density(
-                followed(predicted, sensors, times, response), window.values, window.covariance, limits
-            )
-            for response in likelihood.response_time
-        ],
-        axis=1,
-    )
+    columns = []
+    for response in likelihood.response_time:
+        shown = followed(predicted, sensors, times, response)
+        columns.append(likelihood.log_density(shown, readings.values, readings.covariance, readings.operator.limits))
+    return np.concatenate(columns, axis=1)
 
 
 def as_shown(window: Window, predicted: Array, fit: Array, weights: Array, likelihood: Likelihood) -> Array:
@@ -64,8 +58,7 @@ def response_seen(fit: Array, weights: Array, likelihood: Likelihood) -> dict[st
 
 def _chances(fit: Array, weights: Array, likelihood: Likelihood) -> Array:
     """Return the probability (T,) of each response time."""
-    of_cases = np.exp(fit - np.logaddexp.reduce(fit, axis=1, keepdims=True))
-    return np.asarray((weights @ of_cases).reshape(len(likelihood.response_time), -1).sum(axis=1))
+    return np.asarray((weights @ shares_of_cases(fit)).reshape(len(likelihood.response_time), -1).sum(axis=1))
 
 
 def _taken(window: Window) -> tuple[list[str], Array]:

@@ -20,7 +20,7 @@ DT, R = 2.0, 0.01
 NAMES = [("a", "a"), (), ("a", "b"), ("b", "a"), ("a",)]
 
 
-def window(values: Array, names=NAMES, limits=None) -> SimpleNamespace:
+def window(values: Array, names=NAMES, limits=None, variance=R) -> SimpleNamespace:
     """A window whose cycles have these readings in order."""
     cycles, first = [], 0
     for number, own in enumerate(names):
@@ -29,7 +29,7 @@ def window(values: Array, names=NAMES, limits=None) -> SimpleNamespace:
         operator = (
             Selection(
                 indices=np.arange(size),
-                covariance=np.full(size, R),
+                covariance=np.full(size, variance),
                 sensors=own,
                 limits=None if limits is None else limits[part],
             )
@@ -39,10 +39,7 @@ def window(values: Array, names=NAMES, limits=None) -> SimpleNamespace:
         observation = Observation(values[part], operator, (number + 1) * DT)
         cycles.append(SimpleNamespace(number=number, observation=observation))
         first += size
-    made = SimpleNamespace(cycles=cycles, forecast=SimpleNamespace(ensemble=SimpleNamespace(time=len(cycles) * DT)))
-    made.values = values
-    made.covariance = np.full(len(values), R)
-    return made
+    return SimpleNamespace(cycles=cycles, forecast=SimpleNamespace(ensemble=SimpleNamespace(time=len(cycles) * DT)))
 
 
 COUNT = sum(map(len, NAMES))
@@ -114,8 +111,7 @@ def test_a_reading_below_its_limit_says_so():
 def test_the_response_time_is_found():
     options = Likelihood(response_time=[0.0, 1.0, 4.0, 16.0], absolute=[0.001, 0.01])
     values = followed(MET[1], SENSORS, TIMES, 4.0)
-    seen = window(values)
-    seen.covariance = np.full(COUNT, 1e-6)
+    seen = window(values, variance=1e-6)
     fit = fit_of_slow_sensors(seen, MET, options)
     weights = np.exp(options.averaged(fit) - options.averaged(fit).max())
     weights /= weights.sum()
