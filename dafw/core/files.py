@@ -25,6 +25,16 @@ def atomic_file(path: Path) -> Iterator[BinaryIO]:
         beside.unlink(missing_ok=True)
 
 
+def made_anew(path: Path) -> Path:
+    """Return the name beside ``path`` under which a file is made that is to take its place.
+
+    What a process that was killed left there is removed.
+    """
+    beside = path.with_name(f".{path.name}.part")
+    beside.unlink(missing_ok=True)
+    return beside
+
+
 def claim(path: Path) -> None:
     """Create an empty file; raises RunError if it exists already."""
     try:

@@ -23,6 +23,7 @@ from dafw.core.cycle import PHASES, Cycle, Parts, State
 from dafw.core.diagnostics import INNOVATION, SCORES, error_of, innovation_scores, predicted_spread, ranks, scores
 from dafw.core.ensemble import Ensemble
 from dafw.core.errors import CheckpointError
+from dafw.core.files import made_anew
 from dafw.core.observation import Observation, Selection
 from dafw.core.run_file import STAGES, RunFile
 from dafw.core.space import Array, StateSpace, Variable
@@ -59,9 +60,7 @@ class Record:
         places = {one.name: _place(self._space, one) for one in self._space.variables}
         self._places = {stage: [(f"{name}_{stage}", place) for name, place in places.items()] for stage in STAGES}
         self._places["members"] = [(f"{name}_members", places[name]) for name in with_members]
-        beside = path if before is None else path.with_name(f".{path.name}.part")
-        if before is not None:
-            beside.unlink(missing_ok=True)  # a run was killed while it made the file anew
+        beside = path if before is None else made_anew(path)
         self._journal, self._window = journal, parts.filter.window
         self._file = RunFile(
             beside,

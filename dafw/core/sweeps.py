@@ -98,10 +98,12 @@ class Requested:
 
     def words(self, folder: Path) -> list[str]:
         """Return the words of ``dafw run`` that ask for the same jobs in the folder of the multirun."""
-        quoted = str(folder).replace("\\", "\\\\").replace("'", "\\'")
+        from dafw.core.composition import quoted_override  # here, because it loads Hydra
+
         own = [word for word in self.of_hydra if not word.startswith(SET_BY_DAFW)]
         more = ["--config-dir", str(self.more)] if self.more else []
-        return ["-m", "--config-name", self.name, *more, *self.task, *own, f"hydra.sweep.dir='{quoted}'"]
+        place = quoted_override("hydra.sweep.dir", str(folder))
+        return ["-m", "--config-name", self.name, *more, *self.task, *own, place]
 
 
 def requested(folder: Path) -> Requested:

@@ -17,6 +17,7 @@ import numpy as np
 from dafw.core.checkpoints.journal import Journal
 from dafw.core.cycle import Parts
 from dafw.core.errors import CheckpointError, RunError
+from dafw.core.files import made_anew
 from dafw.core.forecasts.ahead import Ahead, Course
 from dafw.core.forecasts.areas import Places
 from dafw.core.forecasts.chances import chance, exceeded, quantile
@@ -59,9 +60,7 @@ class ForecastFile:
         self._name, self._units = variable.name, variable.units
         self._on_mesh: dict[str, str] = {}
         self._journal = journal
-        beside = path if before is None else path.with_name(f".{path.name}.part")
-        if before is not None:
-            beside.unlink(missing_ok=True)  # a run was killed while it made the file anew
+        beside = path if before is None else made_anew(path)
         try:
             self._file = netCDF4.Dataset(beside, "w", clobber=False, format="NETCDF4")
         except OSError as error:
