@@ -30,14 +30,14 @@ EXPORT = re.compile(r"^export (?=(?:async )?(?:function|const|class) (\w+))", re
 def page(data: Mapping[str, Any], frame: str = "page", script: str = "main") -> str:
     """Return the page that shows ``data``; with an entry ``live`` it asks its own server for more, and nobody else.
 
-    ``frame`` names its HTML and, beside that of all pages, its style; ``script`` the module that puts it together.
+    ``frame`` names its HTML, between head and foot of all pages, and beside the style of all pages its own; ``script``
+    the module that puts it together.
     """
-    return _filled(
-        data, _file(f"{frame}.html"), bundle(script), "".join(map(_file, dict.fromkeys(["page.css", f"{frame}.css"])))
-    )
+    html = "".join(map(_file, ("head.html", f"{frame}.html", "foot.html")))
+    return _filled(data, html, bundle(script), "".join(map(_file, dict.fromkeys(["page.css", f"{frame}.css"]))))
 
 
-def _filled(data: Mapping[str, Any], frame: str, script: str, style: str) -> str:
+def _filled(data: Mapping[str, Any], html: str, script: str, style: str) -> str:
     policy = {
         "default-src": "'none'",
         "script-src": f"'sha256-{_hash(script)}'",
@@ -55,7 +55,7 @@ def _filled(data: Mapping[str, Any], frame: str, script: str, style: str) -> str
         "DATA": as_json({**data, "colours": colour_maps()}),
     }
     # In one pass, so that a text of the data that looks like one of these marks stays a text.
-    return re.sub(r"\{\{([A-Z]+)\}\}", lambda mark: found[mark[1]], frame)
+    return re.sub(r"\{\{([A-Z]+)\}\}", lambda mark: found[mark[1]], html)
 
 
 def as_json(data: Any) -> str:
