@@ -13,10 +13,11 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from threading import Event, Thread
+from threading import Event
 from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
+from served import served
 
 PLANT = Path(__file__).parents[1] / "dafw" / "plugins" / "models" / "dispersion" / "site" / "plant.geojson"
 BUSY_PAGE = b"""<?xml version="1.0"?><html><head><title>OSM3S Response</title></head><body>
@@ -155,15 +156,11 @@ def endless(answers: Answers, query: str) -> None:
 def standing_in(port: int = 0) -> Iterator[Standin]:
     """Serve during the block."""
     signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # PETSc, if another test loaded it, has set it back
-    with Standin(port) as server:
-        thread = Thread(target=server.serve_forever, args=(0.01,))
-        thread.start()
+    with served(Standin(port)) as server:
         try:
             yield server
         finally:
             server.ended.set()
-            server.shutdown()
-            thread.join()
 
 
 if __name__ == "__main__":

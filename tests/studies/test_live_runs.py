@@ -11,6 +11,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from run_files import contents
+from small_plant import small_plant
 
 import dafw
 from dafw import Study
@@ -18,11 +19,8 @@ from dafw.commands import main
 from dafw.core.errors import RunError
 from dafw.plugins.filters.enks import EnKS
 from dafw.plugins.filters.etkf import ETKF
-from dafw.plugins.models.dispersion.model import AdvectionDiffusion
 from dafw.plugins.models.lorenz96 import Lorenz96
-from dafw.plugins.observers.drone import Drone
 from dafw.plugins.observers.grid import Grid
-from dafw.plugins.policies.enie2d import EnIE2D
 from dafw.plugins.readings.feed.channels import GrowingFile
 from dafw.plugins.readings.live import Live
 from dafw.plugins.readings.twin import Twin
@@ -50,20 +48,8 @@ def waves(**more):
 
 
 def plant(dt=1.0, **more):
-    """Return a small twin: six tanks, two drones steered by the belief, an uncertain wind."""
-    options = {**AdvectionDiffusion.check_options(), "dt": dt}
-    parts = {
-        "model": AdvectionDiffusion.from_options(**options),
-        "truth": AdvectionDiffusion.from_options(**{**options, "certain": True}),
-        "observer": Drone(noise_sd=0.01),
-        "policy": EnIE2D(),
-        "filter": ETKF(),
-        "start": [[0.0, -30.0], [-40.0, -30.0]],
-        "members": 6,
-        "cycles": 6,
-        "seed": 1000,
-    }
-    return Study(**(parts | more))
+    """Return a small twin with two drones."""
+    return small_plant([[0.0, -30.0], [-40.0, -30.0]], dt, **more)
 
 
 def rehearsed(study, folder, truth=None, change=lambda message: [line_of(message)], cycles=None, **options):

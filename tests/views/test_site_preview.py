@@ -10,7 +10,6 @@ import shlex
 import signal
 import subprocess
 import sys
-from contextlib import contextmanager
 from pathlib import Path
 from threading import Thread
 from urllib.parse import quote
@@ -20,6 +19,7 @@ import pytest
 import shapely
 from browser import differ, open_page
 from playwright.sync_api import expect
+from served import ask, served
 from waiting import PATIENCE
 
 from dafw.commands import main
@@ -225,29 +225,8 @@ def test_a_word_that_is_no_command_is_refused(capsys):
 # --- the page -------------------------------------------------------------------------------------------------------
 
 
-@contextmanager
-def serving(preview):
-    with SiteServer(preview) as server:
-        thread = Thread(target=server.serve_forever, args=(0.01,))
-        thread.start()
-        try:
-            yield server
-        finally:
-            server.shutdown()
-            thread.join()
-
-
-def ask(server, path, **headers):
-    connection = http.client.HTTPConnection(*server.server_address, timeout=PATIENCE)
-    connection.request("GET", path, headers={name.replace("_", "-"): value for name, value in headers.items()})
-    answer = connection.getresponse()
-    text = answer.read().decode()
-    connection.close()
-    return answer.status, text
-
-
 def test_the_server_answers_with_the_command_or_says_why_not(preview):
-    with serving(preview) as server:
+    with served(SiteServer(preview)) as server:
         first = server.chosen
         assert composed(first)["model"]["release"] == list(preview.free_places.release)
         status, text = ask(server, "/command?at=0,-20&at=10,-40")
@@ -310,7 +289,7 @@ def clicked(page, preview, x, y):
 
 
 def test_release_and_drone_are_placed_in_a_browser(browser, preview):
-    with serving(preview) as server:
+    with served(SiteServer(preview)) as server:
         page = open_page(browser, server.address)
         before = page.pixels("#over")
         clicked(page, preview, 0.0, -60.0)

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import http.client
 import json
 import re
 import signal
 import subprocess
 import sys
 from contextlib import contextmanager
-from threading import Thread
 
 import pytest
 from browser import open_page
 from playwright.sync_api import expect
+from served import ask, served
 from waiting import PATIENCE
 
 from dafw.commands import main
@@ -28,17 +27,9 @@ def record(run, folder, rows, status="interrupted"):
     (folder / "summary.json").write_text(json.dumps({"status": status, "cycles": rows - 1}))
 
 
-@contextmanager
 def serving(folder):
     """Serve the run in a folder."""
-    with Server(Following(folder)) as server:
-        thread = Thread(target=server.serve_forever, args=(0.01,))
-        thread.start()
-        try:
-            yield server
-        finally:
-            server.shutdown()
-            thread.join()
+    return served(Server(Following(folder)))
 
 
 @contextmanager
@@ -49,16 +40,6 @@ def ended(process):
             yield process
         finally:
             process.kill()
-
-
-def ask(server, path, host=None):
-    """Return status and text of what the server answers."""
-    connection = http.client.HTTPConnection(*server.server_address, timeout=PATIENCE)
-    connection.request("GET", path, headers={"Host": host} if host else {})
-    answer = connection.getresponse()
-    text = answer.read().decode()
-    connection.close()
-    return answer.status, text
 
 
 def test_the_page_follows_the_run_for_several_viewers(browser, plant_run, tmp_path):
@@ -104,8 +85,8 @@ def test_it_answers_this_machine_and_its_own_name_only(plant_run, tmp_path):
     with serving(tmp_path) as server:
         assert server.server_address[0] == "127.0.0.1"
         port = server.server_port
-        assert ask(server, "/")[0] == 200 and ask(server, "/", f"localhost:{port}")[0] == 200
-        assert ask(server, "/", f"elsewhere.example:{port}")[0] == 403
+        assert ask(server, "/")[0] == 200 and ask(server, "/", Host=f"localhost:{port}")[0] == 200
+        assert ask(server, "/", Host=f"elsewhere.example:{port}")[0] == 403
         for path in ("/run.nc", "/../run.nc", "/data/x", "//etc/passwd"):
             assert ask(server, path)[0] == 404
         data = json.loads(ask(server, "/data")[1])

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from small_plant import small_plant
 
 import dafw
 from dafw import ConfigurationError, Domain, Ensemble, Request, StateSpace, Study, Variable
@@ -16,11 +17,8 @@ from dafw.core.errors import ReadingsError
 from dafw.core.observation import Selection
 from dafw.plugins.filters.enks import EnKS
 from dafw.plugins.filters.etkf import ETKF
-from dafw.plugins.models.dispersion.model import AdvectionDiffusion
 from dafw.plugins.models.lorenz96 import Lorenz96
-from dafw.plugins.observers.drone import Drone
 from dafw.plugins.observers.grid import Grid
-from dafw.plugins.policies.enie2d import EnIE2D
 from dafw.plugins.readings.recorded import Recorded
 from dafw.plugins.readings.twin import Twin
 from dafw.studies.running import run_study
@@ -56,20 +54,8 @@ def values(source, **options):
 
 
 def plant(**more):
-    """Return a small twin: six tanks, a drone steered by the belief, an uncertain wind."""
-    options = AdvectionDiffusion.check_options()
-    parts = {
-        "model": AdvectionDiffusion.from_options(**options),
-        "truth": AdvectionDiffusion.from_options(**{**options, "certain": True}),
-        "observer": Drone(noise_sd=0.01),
-        "policy": EnIE2D(),
-        "filter": ETKF(),
-        "start": [[0.0, -30.0]],
-        "members": 6,
-        "cycles": 6,
-        "seed": 1000,
-    }
-    return Study(**(parts | more))
+    """Return a small twin with one drone."""
+    return small_plant([[0.0, -30.0]], **more)
 
 
 @pytest.fixture(scope="module")
