@@ -32,7 +32,7 @@ def to_zarr(run: Dataset, path: Path, chunks: str = "maps") -> Path:
     if path.exists():
         raise RunError(f"{path}: exists already; nothing was changed")
     try:
-        import zarr  # noqa: F401  # xarray writes with it
+        import zarr  # noqa: F401 - xarray writes with it
     except ImportError:
         raise RunError("to_zarr needs zarr: pip install 'dafw[zarr]'") from None
     sizes = {str(name): _chunk(variable, chunks) for name, variable in run.variables.items() if variable.ndim}

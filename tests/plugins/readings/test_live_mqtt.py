@@ -81,7 +81,10 @@ def test_a_run_and_its_simulation_meet_at_a_broker(tmp_path):
     live = Live.from_options(source="mqtt", mqtt={"port": port}, patience=PATIENCE)
     truths = []
     with broker(tmp_path, port), link(port, "dafw/advice") as channel:
-        send = lambda message: channel.publish("dafw/readings", line_of(message))  # noqa: E731
+
+        def send(message):
+            channel.publish("dafw/readings", line_of(message))
+
         kept = type("Kept", (), {"append": lambda self, truth: truths.append(truth)})()
         simulation = Simulation(parts, vehicle, live, 5, send, Advised(channel), kept)
         thread = threading.Thread(target=simulation.play)

@@ -1,7 +1,8 @@
 """The journal of a live run: every line that came, as it came, and the cycle that it came in.
 
-A run that was cut off continues with the lines that the journal has and its last state has not taken; a new run with
-the journal as its source takes the same lines in the same cycles. The file is JSON lines:
+A new run with the journal as its source takes the same lines in the same cycles. A source that is given a state and
+the journal of its run takes first the lines that the state has not taken; ``dafw resume`` does not use that yet. The
+file is JSON lines:
 
     {"journal": 1, "zero": 1764482400.0}                    zero: the Unix time of t = 0, null where that is not known
     {"cycle": 0, "at": 1764482401.2, "line": "..."}         at: the Unix time at which the line came

@@ -58,7 +58,7 @@ class BrokerOptions:
 def require_broker(options: BrokerOptions, label: str) -> None:
     """Raise ConfigurationError if paho is not installed, or the options cannot be those of a broker."""
     try:
-        import paho.mqtt.client  # noqa: F401
+        import paho.mqtt.client  # noqa: F401 - only whether it is there
     except ImportError:
         raise ConfigurationError(f"{label}: a broker needs paho-mqtt: pip install 'dafw[live]'") from None
     if "@" in options.host or "/" in options.host:

@@ -147,5 +147,6 @@ def vehicles_of(
         if domain is not None and not domain.is_free(place, place):
             impossible += reading.value is None  # readings in buildings are counted as such
             continue
-        state.vehicles[number] = (one.time, *one.place)  # type: ignore[assignment]
+        x, y = one.place
+        state.vehicles[number] = (one.time, x, y)
     return {number: np.array(seen[1:]) for number, seen in state.vehicles.items()}, impossible
