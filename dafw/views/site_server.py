@@ -67,8 +67,8 @@ def serve(server: SiteServer) -> None:
     with server:
         # PETSc, with which the mesh was read, has let a browser that hangs up end this process.
         signal.signal(signal.SIGPIPE, signal.SIG_IGN)
-        print(server.address, flush=True)
         try:
+            print(server.address, flush=True)  # who reads it may end the command at once
             server.serve_forever()
         except KeyboardInterrupt:
             print(server.chosen, flush=True)

@@ -28,6 +28,7 @@ from dafw.core.experiment import study_from
 from dafw.core.geography import metres_per_degree
 from dafw.plugins.models.dispersion.reduced_wind.expected import MEASURED, seconds_of_basis
 from dafw.plugins.models.dispersion.wind.options import BasisOptions
+from dafw.studies.stopping import stop_signals
 from dafw.views.site_page import page_of_site
 from dafw.views.site_picture import plot_site
 from dafw.views.site_places import Places
@@ -278,6 +279,26 @@ def test_a_signal_ends_the_command(file, tmp_path):
         finally:
             serving.kill()
     assert (serving.returncode, err) == (0, "") and composed(out)["section"] == []
+
+
+def test_whoever_reads_the_address_may_end_the_command_at_once(preview, monkeypatch):
+    signals = {number: signal.getsignal(number) for number in (signal.SIGPIPE, signal.SIGTERM)}
+    lines = []
+
+    def say(line, flush):
+        lines.append(line)
+        if len(lines) == 1:
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    monkeypatch.setattr("dafw.views.site_server.print", say, raising=False)
+    try:
+        server = SiteServer(preview)
+        with stop_signals():
+            serve(server)
+    finally:
+        signal.signal(signal.SIGPIPE, signals[signal.SIGPIPE])
+    assert lines == [server.address, server.chosen]
+    assert signal.getsignal(signal.SIGTERM) == signals[signal.SIGTERM]
 
 
 def clicked(page, preview, x, y):
