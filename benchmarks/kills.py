@@ -80,6 +80,11 @@ class Ended:
 
 def run(folder: Path, prepare: Callable[[], None] | None = None, seconds: float | None = None) -> Ended:
     """Run the study into a folder, or go on with it, in a process of its own; kill it after so many seconds."""
+    return forked(lambda: running.run_study(study_from(composed()), folder, resume=True), prepare, seconds)
+
+
+def forked(work: Callable[[], Any], prepare: Callable[[], None] | None, seconds: float | None) -> Ended:
+    """Do something in a process of its own, which is prepared for its kill, or killed after so many seconds."""
     reading, writing = os.pipe()
     if not (process := os.fork()):
         os.close(reading)
@@ -88,7 +93,7 @@ def run(folder: Path, prepare: Callable[[], None] | None = None, seconds: float 
         try:
             if prepare is not None:
                 prepare()
-            running.run_study(study_from(composed()), folder, resume=True)
+            work()
             status = 0
         except DafwError as error:
             print(f"{type(error).__name__}: {error}", file=sys.stderr, flush=True)

@@ -85,6 +85,11 @@ def run_command(words: Sequence[str], communicator: Any = None, *, resume: bool 
         try:
             composed = study_part(config)
             study = study_from(composed)
+            if study.readings.reads_standard_input and len(jobs) > 1:
+                raise ConfigurationError(
+                    f"{study.readings.label}: the {len(jobs)} runs of the multirun would share one standard input: "
+                    "give each a source of its own"
+                )
             if composed["resume"] == "auto":
                 require_fixed_folder(config, asked.multirun)
                 if not asked.multirun and _is_complete(Path(config.hydra.run.dir).resolve(), study, communicator):

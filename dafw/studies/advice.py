@@ -22,11 +22,10 @@ import numpy as np
 from dafw.core.cycle import Parts, State
 from dafw.core.domain import node_areas
 from dafw.core.ensemble import Ensemble, Route
-from dafw.core.errors import ConfigurationError, RecordError
+from dafw.core.errors import RecordError
 from dafw.core.geography import to_degrees
 from dafw.core.space import Kind, StateSpace
 from dafw.core.study import Study
-from dafw.plugins.readings.live import Live
 from dafw.studies.reporting import warn_once
 
 FILE = "advice.jsonl"
@@ -44,19 +43,24 @@ class Advice:
         self._ways: dict[str, Callable[[bytes], None]] = {}
         self._warned: set[str] = set()
         self._ended = False
+        self._known = 0
         if not (study.readings.is_live or study.advice):
             return
-        told = study.readings.advises if isinstance(study.readings, Live) else []
-        for place in dict.fromkeys([*study.advice, *told]):
+        for place in dict.fromkeys([*study.advice, *study.readings.advises]):
             self._ways[place] = _way_to(place, parts)
+        self._known = study.readings.known_cycles()
         try:
-            self._stream = (folder / FILE).open("ab", buffering=0)
+            self._stream = (folder / FILE).open("a+b", buffering=0)
+            _end_line(self._stream)
         except OSError as error:
             raise RecordError(f"{folder / FILE}: cannot be written ({error.strerror or error})") from error
 
     def give(self, state: State, route: Route) -> None:
-        """Write where the vehicles should fly in the cycle after ``state``, and what is believed."""
-        if self._stream is not None:
+        """Write where the vehicles should fly in the cycle after ``state``, and what is believed.
+
+        Not for a cycle that the journal of a run that goes on knows: it is past, and was advised before.
+        """
+        if self._stream is not None and state.cycle >= self._known:
             self._write(advice_of(self._parts, state, route))
 
     def end(self, state: State) -> None:
@@ -97,8 +101,6 @@ def _way_to(place: str, parts: Parts) -> Callable[[bytes], None]:
     if place == "-":
         return _to_standard_output
     if place == "mqtt":
-        if not isinstance(parts.readings, Live):
-            raise ConfigurationError("advice=[mqtt] goes with readings=live, whose options say which broker")
         return parts.readings.publisher()
     path = Path(place).expanduser()
 
@@ -113,6 +115,14 @@ def _way_to(place: str, parts: Parts) -> Callable[[bytes], None]:
     return to_path
 
 
+def _end_line(stream: BinaryIO) -> None:
+    """End a line that was being written when a run was killed."""
+    if stream.seek(0, os.SEEK_END) > 0:
+        stream.seek(-1, os.SEEK_END)
+        if stream.read(1) != b"\n":
+            stream.write(b"\n")
+
+
 def _to_standard_output(line: bytes) -> None:
     sys.stdout.write(line.decode())
     sys.stdout.flush()
@@ -123,10 +133,10 @@ def advice_of(parts: Parts, state: State, route: Route | None) -> dict[str, Any]
     belief, domain = state.belief.ensemble, parts.model.domain
     origin = None if domain is None else domain.origin
     told: dict[str, Any] = {"cycle": state.cycle, "time": belief.time}
-    zero = parts.readings.zero_of_run(state.readings_memory) if isinstance(parts.readings, Live) else None
+    zero = parts.readings.zero_of_run(state.readings_memory)
     if zero is not None:
         told["date"] = datetime.fromtimestamp(zero + belief.time, UTC).isoformat()
-        if isinstance(parts.readings, Live) and parts.readings.clock == "wall":
+        if parts.readings.follows_wall:
             told["behind"] = max(0.0, time() - zero - belief.time)
     told["vehicles"] = []
     for number, position in enumerate(state.vehicle.positions):

@@ -82,6 +82,7 @@ class Checkpointing:
             warn_once(summary.warned, "checkpoint", text)
             self._last, self._done = perf_counter(), state.cycle
             return
+        self._parts.readings.settle()
         later = record.settle()
         arrays |= {f"{LATER}{place}": values for place, values in later.items()}
         told: dict[str, Any] = {

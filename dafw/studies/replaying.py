@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,7 +26,7 @@ MEASURED = ("phase_seconds",)
 """Variables that hold measured times, which are never the same."""
 SAID_FIRST = ("versions", "dafw_version")
 """Attributes of a file that are compared before the run is made again."""
-QUIET = {"pictures": False, "resume": "never", "checkpoint": {"every": None, "cycles": None}}
+QUIET = {"pictures": False, "resume": "never", "checkpoint": {"every": None, "cycles": None}, "advice": []}
 
 
 @dataclass(frozen=True)
@@ -50,6 +50,7 @@ def prepared(folder: Path) -> Prepared:
     with in_working_folder(folder):
         study = study_from({**configuration_of(folder), **QUIET})
         study = pinned_study(study, summary.get("pinned") or {})
+        study = replace(study, readings=study.readings.again(folder))
     return Prepared(folder, study, changed_versions(summary.get("versions") or {}, versions_of(study)))
 
 

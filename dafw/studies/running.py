@@ -75,10 +75,10 @@ def run_study(study: Study, folder: Path, communicator: Any = None, *, resume: b
         if communicator is not None:  # the other ranks wait: this must not end well
             raise RunError(f"{folder}: another process has completed this run meanwhile")
         return summary_of(folder)
-    elif study.readings.is_live:
+    elif _forgets(study):
         raise RunError(
-            f"{folder}: a live run cannot go on; nothing was changed. What came is in its journal, which a new run can "
-            f"be given: readings.source={folder / 'journal.jsonl'}"
+            f"{folder}: a live run of {study.readings.label} cannot go on, because it keeps no journal of what came; "
+            f"nothing was changed"
         )
     with ExitStack() as stack:
         if goes_on:  # a wrong request to go on raises before the parts are built, which may take long
@@ -235,7 +235,7 @@ class _Run:
         """Make the files of the run, or make them anew as they were at the checkpoint; ``first`` is the first state."""
         study, before, attributes = self.study, self.before, self.summary.file_attributes()
         places = self.folder / FOLDER
-        if study.checkpoint.wanted and not study.readings.is_live:
+        if study.checkpoint.wanted and not _forgets(study):
             self.checkpointing = Checkpointing(study, self._told, parts, self.folder, first, before)
         lengths = {} if before is None else before.told["journals"]
         self.record = record = Record(
@@ -308,6 +308,11 @@ class _Run:
     def _write_summary(self) -> None:
         self.noted = perf_counter()
         write_atomically(self.folder / "summary.json", self.summary.text())
+
+
+def _forgets(study: Study) -> bool:
+    """Return whether nobody can give the study again what came after a checkpoint."""
+    return study.readings.is_live and not study.readings.journal
 
 
 class _Writing:

@@ -220,20 +220,6 @@ def test_a_journal_repeats_its_run(tmp_path):
     assert contents(tmp_path / "again") == contents(tmp_path / "live")
 
 
-def test_a_live_run_that_was_killed_keeps_its_journal_and_does_not_go_on(tmp_path):
-    study = waves()
-    rehearsed(study, tmp_path / "live")
-    source = Live.from_options(source=str(tmp_path / "live.jsonl"), patience=30.0)
-    folder, live = tmp_path / "live", replace(study, readings=source, truth=None)
-    assert not (folder / "checkpoint").exists()
-    told = json.loads((folder / "summary.json").read_text())
-    (folder / "summary.json").write_text(json.dumps({**told, "status": "interrupted"}))
-    before = (folder / "journal.jsonl").read_bytes()
-    with pytest.raises(RunError, match="a live run cannot go on; nothing was changed"):
-        run_study(live, folder, resume=True)
-    assert (folder / "journal.jsonl").read_bytes() == before
-
-
 def test_a_live_study_can_be_iterated_over(tmp_path):
     lines = [json.dumps({"time": 0.05, "entry": 3, "value": 1.0, "sd": 1.0}), '{"until": 0.1}', '{"end": true}']
     (tmp_path / "feed.jsonl").write_text("\n".join(lines) + "\n")

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
 
 from dafw.core.domain import Domain
 from dafw.core.ensemble import Ensemble, Memory
-from dafw.core.errors import ContractError
+from dafw.core.errors import ConfigurationError, ContractError
 from dafw.core.observation import Observation, ObservationOperator
 from dafw.core.plugin import Plugin
 from dafw.core.space import Array, StateSpace
@@ -69,6 +69,12 @@ class Readings(Plugin):
     kind = "readings"
     needs_truth: ClassVar[bool] = False
     is_live: ClassVar[bool] = False
+    journal: ClassVar[str] = ""
+    """Of a live source: the file in the folder of a run in which it keeps what came, and from which it gives that again
+    to a run that goes on. A live source without one can be run, but its runs cannot go on."""
+    follows_wall: bool = False
+    """Whether the cycles of a live source end at their time by the wall's clock."""
+    reads_standard_input: bool = False
     word: ClassVar[str] = "row"
     """What one of the source's entries is called in messages."""
 
@@ -96,6 +102,36 @@ class Readings(Plugin):
 
     def end(self) -> None:
         """Release what ``begin`` opened; called when a run ends, however it does."""
+
+    @property
+    def advises(self) -> Sequence[str]:
+        """Where advice goes beside the places that a study names; ``mqtt`` stands for ``publisher``."""
+        return ()
+
+    def publisher(self) -> Callable[[bytes], None]:
+        """Return what sends a line of advice to the place that is called ``mqtt``; raises ConfigurationError."""
+        raise ConfigurationError(f"advice=[mqtt] goes with readings that come through a broker, got {self.label}")
+
+    def zero_of_run(self, memory: Memory | None) -> float | None:
+        """Return the Unix time of t = 0, after which advice has dates; None where it is not known.
+
+        ``memory`` is that of the source, as of the last cycle.
+        """
+        return None
+
+    def known_cycles(self) -> int:
+        """Return how many first cycles the journal has all readings of; asked after ``begin``.
+
+        Nobody can obey advice for them any more.
+        """
+        return 0
+
+    def settle(self) -> None:
+        """Write the journal to the disk: a checkpoint is about to rely on it. Raises OSError, RecordError."""
+
+    def again(self, folder: Path) -> Self:
+        """Return the source that gives another run what this one gave to the complete run in ``folder``."""
+        return self
 
     def initial_memory(self) -> Memory | None:
         """Return the memory that the first request is given."""

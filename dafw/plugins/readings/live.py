@@ -8,12 +8,14 @@ journal of the run.
 
 from __future__ import annotations
 
+import os
+import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 from time import time
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -26,10 +28,10 @@ from dafw.core.options import build
 from dafw.core.space import StateSpace
 from dafw.plugins.observers.path import ends_of, line_means
 from dafw.plugins.readings.feed.channels import Channel, Pipe, channel_to
-from dafw.plugins.readings.feed.collecting import Patience, collect, has_ended
+from dafw.plugins.readings.feed.collecting import Patience, collect
 from dafw.plugins.readings.feed.desk import Desk, Rules
 from dafw.plugins.readings.feed.feed import Feed, Replayed
-from dafw.plugins.readings.feed.journal import zero_of
+from dafw.plugins.readings.feed.journal import FILE, cycles_in, head_of
 from dafw.plugins.readings.feed.messages import names_of
 from dafw.plugins.readings.feed.mqtt import Broker, require_broker
 from dafw.plugins.readings.feed.options import EXAMPLE, MQTT, FeedOptions
@@ -46,12 +48,15 @@ class Live(FeedOptions, Readings):
     """Readings from a feed."""
 
     is_live = True
+    journal = FILE
     word = "message"
 
     _feed: Feed | None = field(default=None, init=False, repr=False, compare=False)
     _folder: Path | None = field(default=None, init=False, repr=False, compare=False)
     _broker: Broker | None = field(default=None, init=False, repr=False, compare=False)
     _pipe: Channel | None = field(default=None, init=False, repr=False, compare=False)
+    _client: str = field(default="", init=False, repr=False, compare=False)
+    _known: int = field(default=0, init=False, repr=False, compare=False)
 
     @classmethod
     def check_options(cls) -> Mapping[str, Any]:
@@ -134,17 +139,64 @@ class Live(FeedOptions, Readings):
         """Keep the folder of the journal, and begin to read what cannot be read again."""
         self._folder, self._asked = folder, asked_to_stop
         self.__dict__.pop("_zero", None)  # of a run before
+        before = head_of(folder / FILE)
+        self._known = cycles_in(folder / FILE)
+        self._client = (before.client if before else "") or f"dafw-{os.urandom(8).hex()}"
         if self.clock == "wall":
             linear("ppm", "ppb")  # units are loaded now, not when the first message with one has come
         if self.source == "-":
             self._pipe = Pipe(0)
         elif self.source == MQTT:
-            self._connected_broker()
+            self._connected_broker(goes_on=before is not None)
+        if before is not None:
+            print(f"dafw: {self._goes_on()}", file=sys.stderr)
 
-    def _connected_broker(self) -> Broker:
-        """Return the link to the broker, which is made once."""
+    def _goes_on(self) -> str:
+        """Return where the readings of a run that goes on come from, and what is lost."""
+        if self.source == MQTT:
+            kept = "what the broker kept for it" if self._connected_broker().kept else "the broker, which kept nothing"
+        elif self._is_pipe:
+            kept = f"{self._place} as it is now; what was sent in between is lost"
+        else:
+            kept = f"{self._place}, from where it was read to"
+        return f"the readings of {self._known} cycles are in {FILE}; then they come from {kept}"
+
+    @property
+    def _is_pipe(self) -> bool:
+        return self.source == "-" or Path(self.source).expanduser().is_fifo()
+
+    @property
+    def _place(self) -> str:
+        return "standard input" if self.source == "-" else self.source
+
+    def known_cycles(self) -> int:
+        """Return how many first cycles the journal has all readings of."""
+        return self._known
+
+    def settle(self) -> None:
+        """Write the journal to the disk."""
+        if self._feed is not None:
+            self._feed.settle()
+
+    def again(self, folder: Path) -> Self:
+        """Return the source of a run that is given what is in the journal of the run in ``folder``."""
+        return replace(self, source=str(folder / FILE))
+
+    @property
+    def follows_wall(self) -> bool:  # type: ignore[override]
+        """Whether cycles end by the wall's clock."""
+        return self.clock == "wall"
+
+    @property
+    def reads_standard_input(self) -> bool:  # type: ignore[override]
+        """Whether the messages come from standard input."""
+        return self.source == "-"
+
+    def _connected_broker(self, *, goes_on: bool = False) -> Broker:
+        """Return the link to the broker, which is made once; ``goes_on``: it may have kept messages for the run."""
         if self._broker is None:
-            self._broker = Broker(self.mqtt, self.mqtt.topic if self.source == MQTT else None)
+            topic = self.mqtt.topic if self.source == MQTT else None
+            self._broker = Broker(self.mqtt, topic, self._client, goes_on=goes_on)
         return self._broker
 
     @property
@@ -174,14 +226,14 @@ class Live(FeedOptions, Readings):
         if self.source == EXAMPLE:
             return channel_to(str(Path(__file__).with_name("feed") / "example.jsonl"), state.offset)
         path = Path(self.source).expanduser()
-        return Replayed(path, state.entries) if zero_of(path)[0] else channel_to(self.source, state.offset)
+        return Replayed(path, state.entries) if head_of(path) else channel_to(self.source, state.offset)
 
     def _opened(self, state: FeedState, cycle: int) -> Feed:
         """Return the feed, opened where ``state`` says; in the first cycle, note what is t = 0."""
         if self._feed is None:
             if cycle == 0:
                 self._set_zero(state)
-            self._feed = Feed(self._connected, state, self._folder, state.zero)
+            self._feed = Feed(self._connected, state, self._folder, state.zero, self._client)
         return self._feed
 
     @cached_property
@@ -190,8 +242,11 @@ class Live(FeedOptions, Readings):
         moment = parsed_date(self.start, None) if isinstance(self.start, str) else None
         if moment is not None or self.clock == "feed":
             return None if moment is None else moment.timestamp()
-        found, zero = (False, None) if self.source in ("-", MQTT) else zero_of(Path(self.source).expanduser())
-        return zero if found else time()
+        own = None if self._folder is None else self._folder / FILE
+        before = head_of(own) if own is not None else None
+        if before is None and self.source not in ("-", MQTT):
+            before = head_of(Path(self.source).expanduser())
+        return time() if before is None else before.zero
 
     def _set_zero(self, state: FeedState) -> None:
         state.zero = self._zero
@@ -209,7 +264,7 @@ class Live(FeedOptions, Readings):
         desk = Desk(rules, state, request.end, request.end - request.start)
         wall = self.clock == "wall"
         collect(feed, desk, request.cycle, self.grace, Patience(wall, self.patience, self._asked))
-        if has_ended(feed, desk) and desk.is_barren:
+        if desk.state.ended and desk.is_barren:
             raise NoMoreReadingsError(f"{self.label}: the feed has ended")
         observations, unplaced = observations_of(
             desk.due,
@@ -231,5 +286,5 @@ class Live(FeedOptions, Readings):
 
     def notes(self) -> list[str]:
         """Return where the readings come from, in one sentence."""
-        what = "standard input" if self.source == "-" else self.source
-        return [f"{self.label}: readings come from {what}; a cycle ends by the clock of the {self.clock}"]
+        told = [f"{self.label}: readings come from {self._place}; a cycle ends by the clock of the {self.clock}"]
+        return [*told, self._goes_on()] if self._known else told

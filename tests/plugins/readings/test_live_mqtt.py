@@ -119,6 +119,25 @@ def waited_for(condition):
     assert condition()
 
 
+def test_a_link_whose_process_was_killed_goes_on_with_what_the_broker_kept(tmp_path):
+    port = free_port()
+    options = BrokerOptions(port=port)
+    with broker(tmp_path, port), link(port, "other") as sender:
+        killed = Broker(options, "dafw/readings", "the run")
+        assert not killed.kept
+        killed._client.loop_stop()  # no word of leaving
+        killed._client._sock_close()
+        for number in range(50):
+            sender.publish("dafw/readings", b"%d" % number)
+        again = Broker(options, "dafw/readings", "the run", goes_on=True)
+        assert again.kept
+        assert [again.next(0.0).text for _ in range(50)] == [str(number) for number in range(50)]
+        again.close()
+        other = Broker(options, "dafw/readings", "another run", goes_on=True)
+        assert not other.kept and other.next(0.0) is None
+        other.close()
+
+
 @contextmanager
 def link_to_nobody(port):
     first, mqtt.FIRST = mqtt.FIRST, 0.1

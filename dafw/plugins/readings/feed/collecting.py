@@ -28,7 +28,11 @@ def collect(feed: Feed, desk: Desk, cycle: int, grace: float, patience: Patience
     while True:
         left = _left(feed, desk, grace) if patience.wall else LOOK
         if not feed.tells_ends(desk.state) and _is_over(feed, desk, grace, left, drained, patience):
-            if not (has_ended(feed, desk) and desk.is_barren):
+            if feed.ended and not desk.state.ended:
+                if patience.asked_to_stop():  # what stops the run has ended its feed, too
+                    raise KeyboardInterrupt
+                feed.say_end(cycle, desk.state)
+            if not (desk.state.ended and desk.is_barren):
                 feed.end_cycle(cycle, desk.state)
             return
         entry = feed.next(max(0.0, min(left, LOOK)), cycle, desk.state)
@@ -41,11 +45,13 @@ def collect(feed: Feed, desk: Desk, cycle: int, grace: float, patience: Patience
             drained += left <= 0.0
             desk.put(entry)
             continue
+        if has_ended(feed, desk):
+            continue
         if patience.wall and left <= 0.0:
             feed.end_cycle(cycle, desk.state)
             return
         if patience.silence is not None and monotonic() - heard > patience.silence:
-            desk.state.ended = True
+            feed.say_end(cycle, desk.state)
         if patience.asked_to_stop():
             raise KeyboardInterrupt
 

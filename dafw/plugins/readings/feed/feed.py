@@ -7,8 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 from time import monotonic, time
 
+from dafw.core.errors import ReadingsError
 from dafw.plugins.readings.feed.channels import Channel
-from dafw.plugins.readings.feed.journal import FILE, Entry, Journal, entries_of, zero_of
+from dafw.plugins.readings.feed.journal import FILE, Entry, Journal, entries_of, head_of
 from dafw.plugins.readings.feed.lines import Line
 from dafw.plugins.readings.feed.mqtt import Broker
 from dafw.plugins.readings.feed.state import FeedState
@@ -47,10 +48,19 @@ class Replayed:
 
 
 class Feed:
-    """What brings the lines of a run; ``connect`` opens the channel, which is given the place to read a file from."""
+    """What brings the lines of a run; ``connect`` opens the channel, which is given the place to read a file from.
+
+    ``client`` is the name by which a broker knows the run. Raises ReadingsError if the journal lacks what ``state`` has
+    taken.
+    """
 
     def __init__(
-        self, connect: Callable[[FeedState], Channel], state: FeedState, folder: Path | None, zero: float | None
+        self,
+        connect: Callable[[FeedState], Channel],
+        state: FeedState,
+        folder: Path | None,
+        zero: float | None,
+        client: str = "",
     ) -> None:
         self.clock = Clock()
         self._tail: Iterator[Entry] = iter(())
@@ -59,9 +69,11 @@ class Feed:
         self._connect = connect
         if folder is not None:
             path = folder / FILE
-            if path.exists() and zero_of(path)[0]:
+            if head_of(path) is not None:
                 self._tail = entries_of(path, state.entries)
-            self._journal = Journal(path, zero)
+            elif state.entries:
+                raise ReadingsError(f"{path}: is no journal, and {state.entries} entries were taken from one")
+            self._journal = Journal(path, zero, client)
         self._ahead = next(self._tail, None)
 
     @property
@@ -87,12 +99,21 @@ class Feed:
             line = self._channel.next(seconds)
             if line is None:
                 return None
-            entry = Entry(line, self.clock(), cycle, offset=self._channel.offset)
+            at = round(self.clock(), 3)  # as the journal has it: a reading without a time has this one
+            entry = Entry(line, at, cycle, offset=self._channel.offset)
+        self._note(entry, cycle, state)
+        return entry
+
+    def say_end(self, cycle: int, state: FeedState) -> None:
+        """Note that no more lines will come, as if a message had said so: a run that goes on does not ask again."""
+        self._note(Entry(Line('{"end": true}'), round(self.clock(), 3), cycle, offset=state.offset), cycle, state)
+        state.ended = True
+
+    def _note(self, entry: Entry, cycle: int, state: FeedState) -> None:
         state.entries += 1
         state.offset = entry.offset
         if self._journal is not None:
             self._journal.note(cycle, entry.line, entry.at, entry.offset)
-        return entry
 
     def end_cycle(self, cycle: int, state: FeedState) -> None:
         """Note that a cycle has its readings; not called where an entry of the run's own journal said so."""
@@ -102,9 +123,14 @@ class Feed:
 
     def tells_ends(self, state: FeedState) -> bool:
         """Return whether the next entry is one of a journal, which says when a cycle ends."""
-        if self._ahead is None and self._channel is None:
+        if self._ahead is None and self._channel is None and not state.ended:
             self._channel = self._connect(state)
         return self._ahead is not None or (isinstance(self._channel, Replayed) and not self._channel.ended)
+
+    def settle(self) -> None:
+        """Write the journal to the disk; raises RecordError."""
+        if self._journal is not None:
+            self._journal.sync()
 
     def close(self) -> None:
         """Close the journal, and the channel but for a broker, to which advice is still sent."""

@@ -1,15 +1,16 @@
 """The journal of a live run: every line that came, as it came, and the cycle that it came in.
 
-A new run with the journal as its source takes the same lines in the same cycles. A source that is given a state and
-the journal of its run takes first the lines that the state has not taken; ``dafw resume`` does not use that yet. The
-file is JSON lines:
+A new run with the journal as its source takes the same lines in the same cycles. A run that was killed and goes on
+takes first what its own journal has and its checkpoint has not. The file is JSON lines:
 
-    {"journal": 1, "zero": 1764482400.0}                    zero: the Unix time of t = 0, null where that is not known
+    {"journal": 1, "zero": 1764482400.0, "client": "..."}   zero: the Unix time of t = 0, null where that is not known
     {"cycle": 0, "at": 1764482401.2, "line": "..."}         at: the Unix time at which the line came
     {"cycle": 0, "at": 1764482401.3, "left_out": "too_long", "count": 1}
     {"cycle": 0, "end": true}                               the cycle had its readings
 
 Entries of a file that grows also have ``offset``, where the file was read to. A line that is too long is not kept.
+``client`` is the name by which a broker knows the run. A feed that ended without saying so, because its pipe was closed
+or because it was silent for too long, has a line ``{"end": true}`` in the journal.
 """
 
 from __future__ import annotations
@@ -47,32 +48,52 @@ class Entry:
     own: bool = False
 
 
-def zero_of(path: Path) -> tuple[bool, float | None]:
-    """Return whether a file is a journal, and the Unix time of t = 0 in it."""
+@dataclass(frozen=True)
+class Head:
+    """The first line of a journal: the Unix time of t = 0 where it is known, and the run's name at its broker."""
+
+    zero: float | None
+    client: str
+
+
+def head_of(path: Path) -> Head | None:
+    """Return the first line of a journal; None if the file is none."""
     if not path.is_file():  # a named pipe would make its reader wait
-        return False, None
+        return None
     try:
         with path.open("rb") as stream:
             head = json.loads(stream.readline(LONGEST_ENTRY))
     except (OSError, ValueError, RecursionError):
-        return False, None
+        return None
     if not isinstance(head, dict) or head.get("journal") != 1:
-        return False, None
+        return None
     zero = head.get("zero")
-    return True, float(zero) if isinstance(zero, int | float) else None
+    return Head(float(zero) if isinstance(zero, int | float) else None, str(head.get("client", "")))
+
+
+def cycles_in(path: Path) -> int:
+    """Return how many cycles of a journal have all their readings; 0 if there is no journal."""
+    if not path.is_file():
+        return 0
+    with path.open("rb") as stream:  # within a line that came, a quotation mark has a backslash before it
+        return sum(line.endswith(b'"end": true}\n') for line in stream)
 
 
 def entries_of(path: Path, taken: int = 0) -> Iterator[Entry]:
-    """Yield the entries of a journal after the first ``taken``; raises ReadingsError for one that is damaged."""
+    """Yield the entries of a journal after the first ``taken``.
+
+    Raises ReadingsError for an entry that is damaged, and if there are fewer than ``taken``.
+    """
     with path.open("rb") as stream:
         stream.readline(LONGEST_ENTRY)
         number = 0
-        while data := stream.readline(LONGEST_ENTRY):
-            if not data.endswith(b"\n"):
-                return  # being written when the run was killed
+        # An entry without a line end was being written when the run was killed.
+        while (data := stream.readline(LONGEST_ENTRY)).endswith(b"\n"):
             number += 1
             if number > taken:
                 yield _entry(data, path, number)
+    if number < taken:
+        raise ReadingsError(f"journal {path}: has {number} entries, {taken} were taken from it: it has been cut short")
 
 
 def _entry(data: bytes, path: Path, number: int) -> Entry:
@@ -93,14 +114,14 @@ def _entry(data: bytes, path: Path, number: int) -> Entry:
 class Journal:
     """Writes a journal; one that is there already is continued, without an entry that was cut off."""
 
-    def __init__(self, path: Path, zero: float | None) -> None:
+    def __init__(self, path: Path, zero: float | None, client: str = "") -> None:
         self.path = path
         self._stream: BinaryIO
         with self._writing():
             self._stream = path.open("a+b")
             _drop_half_a_line(self._stream)
             if self._stream.tell() == 0:
-                self._write({"journal": 1, "zero": zero})
+                self._write({"journal": 1, "zero": zero} | ({"client": client} if client else {}))
                 self._stream.flush()
         self._synced = monotonic()
 
@@ -117,9 +138,14 @@ class Journal:
         with self._writing():
             self._write({"cycle": cycle, "end": True})
             self._stream.flush()
-            if monotonic() - self._synced > SYNC_SECONDS:
-                os.fsync(self._stream.fileno())
-                self._synced = monotonic()
+        if monotonic() - self._synced > SYNC_SECONDS:
+            self.sync()
+
+    def sync(self) -> None:
+        """Write the file to the disk."""
+        with self._writing():
+            os.fsync(self._stream.fileno())
+        self._synced = monotonic()
 
     def close(self) -> None:
         """Close the file."""

@@ -15,7 +15,7 @@ from collections import deque
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from time import monotonic
+from time import monotonic, sleep
 from typing import Any
 
 from dafw.core.errors import ConfigurationError, ReadingsError
@@ -32,6 +32,8 @@ OVERHEAD = 200
 """Bytes that a waiting line takes beside its text."""
 FIRST = 10.0
 """Seconds that a run waits at its beginning for the broker, before it goes on and tries in the background."""
+QUIET = 0.2
+"""Seconds without a message after which all have come that a broker kept for a run that goes on."""
 LAST = 60.0
 """Seconds that are given at the end to what is still to be sent."""
 QUEUED = 100_000
@@ -90,13 +92,18 @@ def credentials_of(options: BrokerOptions) -> tuple[str, str | None] | None:
 
 
 class Broker:
-    """A link to a broker that hears one topic, or None: it only sends; a channel of a feed."""
+    """A link to a broker that hears one topic, or None: it only sends; a channel of a feed.
+
+    ``client`` is the name by which the broker knows the link, by default a new one. ``goes_on``: it had this name
+    before, and takes what the broker kept for it; ``kept`` then says whether the broker remembered it.
+    """
 
     offset = 0
     ended = False
 
-    def __init__(self, options: BrokerOptions, topic: str | None) -> None:
+    def __init__(self, options: BrokerOptions, topic: str | None, client: str = "", *, goes_on: bool = False) -> None:
         self._options, self._topic = options, topic
+        self._name, self._goes_on, self.kept = client or f"dafw-{os.urandom(8).hex()}", goes_on, False
         self._lines: deque[Line] = deque()
         self._held = self._lost = 0
         self._changed = threading.Condition()
@@ -115,7 +122,7 @@ class Broker:
         from paho.mqtt.client import Client, MQTTv5
         from paho.mqtt.enums import CallbackAPIVersion
 
-        client = Client(CallbackAPIVersion.VERSION2, client_id=f"dafw-{os.urandom(8).hex()}", protocol=MQTTv5)
+        client = Client(CallbackAPIVersion.VERSION2, client_id=self._name, protocol=MQTTv5)
         found = credentials_of(self._options)
         if found is not None:
             client.username_pw_set(*found)
@@ -140,7 +147,8 @@ class Broker:
 
         keep = Properties(PacketTypes.CONNECT)
         keep.SessionExpiryInterval = SESSION
-        how = {"keepalive": 30, "clean_start": MQTT_CLEAN_START_FIRST_ONLY, "properties": keep}
+        clean = False if self._goes_on else MQTT_CLEAN_START_FIRST_ONLY
+        how = {"keepalive": 30, "clean_start": clean, "properties": keep}
         try:
             self._client.connect(self._options.host, self._port, **how)
         except ssl.SSLError as error:
@@ -153,6 +161,11 @@ class Broker:
         while not self._heard.wait(0.05) and monotonic() < deadline:
             self._require_welcome()
         self._require_welcome()
+        if self.kept and self._goes_on:
+            before = -1
+            while (found := len(self._lines)) != before and monotonic() < deadline:
+                before = found
+                sleep(QUIET)
 
     def _require_welcome(self) -> None:
         if self._refused:
@@ -168,6 +181,7 @@ class Broker:
         if reason.is_failure:
             self._refused = str(reason)
             return
+        self.kept = self.kept or bool(flags.session_present)
         if self._topic is None:
             self._heard.set()
         else:

@@ -1,0 +1,197 @@
+"""Kills live runs at many moments, lets them go on, and compares them with a run of the same messages, to the last bit.
+
+``python -m benchmarks.live_kills [--kills N] [--seed S]`` prints a line for each run that was killed, and ends with
+status 1 if one differs. Messages come while the run is down, too: late, twice, and with garbage among them. Each run is
+compared with one that takes the journal of the killed one; by the feed's clock, with a file as the source, also with
+one that was never killed. The runs are processes of their own, ended by SIGKILL.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import json
+import os
+import random
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, redirect_stderr
+from pathlib import Path
+from typing import Any
+
+import netCDF4  # noqa: F401 - first: see dafw/core/run_file.py
+import numpy as np
+
+import dafw
+from benchmarks.kills import Ended, at_call, forked, half_an_array
+from dafw import Study
+from dafw.core.checkpoints.plan import CheckpointPlan
+from dafw.core.runs import summary_of
+from dafw.plugins.filters.enks import EnKS
+from dafw.plugins.models.lorenz96 import Lorenz96
+from dafw.plugins.observers.grid import Grid
+from dafw.plugins.readings.feed import journal
+from dafw.plugins.readings.live import Live
+from dafw.plugins.readings.twin import Twin
+from dafw.studies.replaying import difference_of
+from dafw.studies.running import run_study
+
+CYCLES, EVERY, DT = 30, 4, 0.05
+
+
+def study(readings: Any, **more: Any) -> Study:
+    """Return a study with a smoother, whose beliefs late readings revise."""
+    return Study(
+        model=Lorenz96(dt=DT),
+        observer=Grid(stride=4),
+        filter=EnKS(window=3),
+        readings=readings,
+        members=12,
+        cycles=CYCLES,
+        seed=1000,
+        **more,
+    )
+
+
+def messages(rng: random.Random) -> Iterator[str]:
+    """Yield the lines of a feed: the readings of a twin, some late, some twice, with garbage among them."""
+    held: list[str] = []
+    for number, cycle in enumerate(study(Twin(), truth=Lorenz96(dt=DT))):
+        end = (number + 1) * DT
+        lines = [
+            json.dumps({"time": end - rng.choice((0.0, 0.01, 0.02)), "entry": 4 * place, "value": value, "sd": 1.0})
+            for place, value in enumerate(cycle.observation.values.tolist())
+        ]
+        rng.shuffle(lines)
+        late, held = held, [lines.pop() for _ in range(2)]
+        lines += [*late, lines[0], "no message", '{"time": 1, "entry": 3, "value": NaN}']
+        lines.append(json.dumps({"entry": 2, "value": cycle.observation.values[0], "sd": 3.0}))  # it has no time
+        rng.shuffle(lines)
+        yield from [*lines, json.dumps({"until": end})]
+    yield '{"end": true}'
+
+
+def half_an_entry(own: Any, cycle: int, line: Any, *more: Any) -> None:
+    """Append a part of an entry to the journal of what came."""
+    own._stream.write(b'{"cycle": 3, "at": 17')
+    own._stream.flush()
+
+
+MOMENTS: dict[str, Callable[[random.Random], tuple[str, Callable[[], None]]]] = {}
+
+
+def _moment(name: str, owner: Any, method: str, most: int, unit: str, instead: Any = None) -> None:
+    def draw(rng: random.Random) -> tuple[str, Callable[[], None]]:
+        number = rng.randint(1, most)
+        return f"{unit} {number}", at_call(owner, method, number, instead)
+
+    MOMENTS[name] = draw
+
+
+_moment("while a cycle waits for readings", journal.Journal, "note", 350, "line")
+_moment("inside an entry of the journal", journal.Journal, "note", 350, "line", half_an_entry)
+_moment("before the end of a cycle is noted", journal.Journal, "end", CYCLES, "cycle")
+_moment("inside a checkpoint", np.lib.format, "write_array", 60, "array", half_an_array)
+
+
+@contextmanager
+def written(place: Path, lines: Sequence[str], seconds: float) -> Iterator[None]:
+    """Append lines to a file during the block, whether anybody reads them or not; all are there at its end."""
+
+    def write() -> None:
+        for line in lines:
+            with place.open("a") as stream:
+                stream.write(f"{line}\n")
+            time.sleep(seconds)
+
+    writer = threading.Thread(target=write)
+    writer.start()
+    try:
+        yield
+    finally:
+        writer.join()
+
+
+def options_of(kind: str, place: Path) -> dict[str, Any]:
+    """Return the options of the source of a kind of run."""
+    return {"source": str(place), "clock": kind, "patience": 20.0, "grace": 0.02 if kind == "wall" else 0.0}
+
+
+def whole_run(folder: Path, **options: Any) -> None:
+    """Run the study in this process, without being killed."""
+    with redirect_stderr(io.StringIO()):  # it warns of the garbage
+        run_study(study(Live(**options)), folder)
+
+
+def go(folder: Path, options: dict[str, Any], prepare: Callable[[], None] | None, seconds: float | None) -> Ended:
+    """Run the study into a folder, or go on with it, in a process of its own."""
+    plan = CheckpointPlan(cycles=EVERY)
+    return forked(lambda: run_study(study(Live(**options), checkpoint=plan), folder, resume=True), prepare, seconds)
+
+
+def difference(one: Path, other: Path) -> str:
+    """Return the first difference of two runs, '' if there is none."""
+    if summary_of(one).get("status") != "complete":
+        return f"it is {summary_of(one).get('status', 'missing')}"
+    for what in ("readings", "readings_left_out", "cycles"):
+        if (mine := summary_of(one)[what]) != (theirs := summary_of(other)[what]):
+            return f"summary.json, {what}: {mine}, not {theirs}"
+    with dafw.open_run(one) as before, dafw.open_run(other) as now:
+        return difference_of(before, now, "time")
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Kill, go on, compare, print the log; return the exit status."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.live_kills", description="Kill live runs.")
+    parser.add_argument("--kills", type=int, default=20, help="how many runs are killed")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the moments")
+    asked = parser.parse_args(words)
+    rng, identical = random.Random(asked.seed), 0
+    lines = list(messages(random.Random(1000)))
+    row = "{:>3}  {:6} {:36} {:18} {:9} {:24} {}"
+    print(row.format("", "clock", "killed", "moment", "ended", "journal", "afterwards"))
+    listed = [*MOMENTS, "by the clock", "three times, by the clock"]
+    with tempfile.TemporaryDirectory(prefix="dafw-live-kills-") as name:
+        place = Path(name)
+        whole = place / "whole.jsonl"
+        whole.write_text("\n".join(lines) + "\n")
+        begun = time.monotonic()
+        whole_run(place / "reference", source=str(whole))
+        most = time.monotonic() - begun
+        for number in range(asked.kills):
+            kind, clock = listed[number % len(listed)], ("feed", "wall")[number // len(listed) % 2]
+            folder, feed = place / f"run-{number}", place / f"feed-{number}.jsonl"
+            options, moments, ended = options_of(clock, feed), [], None
+            with written(feed, lines, most / len(lines)):
+                for _ in range(3 if kind.startswith("three") else 1):
+                    seconds, prepare = None, None
+                    if kind in MOMENTS:
+                        moment, prepare = MOMENTS[kind](rng)
+                    else:
+                        seconds = rng.uniform(0.2, 0.9) * most
+                        moment = f"{seconds:.2f}"
+                    moments.append(moment)
+                    ended = go(folder, options, prepare, seconds)
+                kept = journal.cycles_in(folder / journal.FILE)
+                last = go(folder, options, None, None)
+            again = place / f"again-{number}"
+            whole_run(again, source=str(folder / journal.FILE), clock=clock)
+            found = difference(folder, again)
+            if not found and clock == "feed":
+                found = difference(folder, place / "reference")
+            identical += not found
+            after = summary_of(folder).get("resumed_after") or "the start"
+            said = f" ({last.said.strip().splitlines()[-1]})" if last.how != "complete" else ""
+            result = f"went on after {after}: {found or 'identical'}{said}"
+            print(row.format(number + 1, clock, kind, ", ".join(moments), ended.how, f"{kept} cycles", result))
+            sys.stdout.flush()
+    print(f"{identical} of {asked.kills} identical")
+    return 0 if identical == asked.kills else 1
+
+
+if __name__ == "__main__":
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    sys.exit(main())
