@@ -32,9 +32,9 @@ from dafw.plugins.readings.feed.collecting import Patience, collect
 from dafw.plugins.readings.feed.desk import Desk, Rules
 from dafw.plugins.readings.feed.feed import Feed, Replayed
 from dafw.plugins.readings.feed.journal import FILE, cycles_in, head_of
-from dafw.plugins.readings.feed.messages import names_of
 from dafw.plugins.readings.feed.mqtt import Broker, require_broker
 from dafw.plugins.readings.feed.options import EXAMPLE, MQTT, FeedOptions
+from dafw.plugins.readings.feed.rules import rules_of
 from dafw.plugins.readings.feed.state import FeedState
 from dafw.plugins.readings.feed.usable import observations_of, vehicles_of
 from dafw.plugins.readings.files.placing import require_origin
@@ -107,33 +107,7 @@ class Live(FeedOptions, Readings):
         return None if domain is None else domain.origin
 
     def _rules(self, space: StateSpace, domain: Domain | None) -> Rules:
-        """Return what the study expects of readings."""
-        variable = space.variables[0] if self.variable is None else space[self.variable]
-        places: tuple[str, ...] = ("entry",)
-        if variable.coordinates is not None and variable.coordinates.shape[1] == 2:
-            places = ("metres", *(["degrees"] if self._origin(domain) else []), "entry")
-        if self.entries or self.paths or variable.size == 1:
-            places = ()
-        return Rules(
-            names=names_of(self.columns),
-            wanted=self.reference or variable.units,
-            errors=self._errors,
-            common=self._common,
-            places=places,
-            size=variable.size,
-            plausible=variable.plausible,
-            known=frozenset(self.entries or self._paths) or None,
-            entries=self.entries,
-            vehicles={name: number for number, name in enumerate(self.vehicles)},
-            unit=self.unit,
-            time_format=self.time_format,
-            lowest=self.lowest,
-            highest=self.highest,
-            first=self.start == "first",
-            stamped=self.clock == "wall",
-            furthest=self.furthest,
-            most=self.most,
-        )
+        return rules_of(self, space, self._origin(domain) is not None, self._errors, self._common)
 
     def begin(self, folder: Path, asked_to_stop: Callable[[], bool]) -> None:
         """Keep the folder of the journal, and begin to read what cannot be read again."""
