@@ -45,6 +45,12 @@ class Tally:
     ends: Counter[tuple[str, str]] = field(default_factory=Counter)
     findings: dict[str, tuple[str, int]] = field(default_factory=dict)
 
+    def find(self, text: str, target: str, number: int) -> None:
+        """Note a finding; the first of its kind is told on standard error at once."""
+        if text not in self.findings:
+            self.findings[text] = (target, number)
+            print(f"{text} (case {number})", file=sys.stderr, flush=True)
+
 
 def tried(target: str, number: int, seed: int) -> str:
     """Try a case; return how it ended, a finding with a word and a colon before it."""
@@ -91,7 +97,7 @@ def _read(stream: int, tally: Tally, targets: Sequence[str], rest: bytes = b"") 
             number, _, end = line.decode(errors="replace").partition("\t")
             target = targets[int(number) % len(targets)]
             if end.startswith("FOUND"):
-                tally.findings.setdefault(f"{target}: {end}", (target, int(number)))
+                tally.find(f"{target}: {end}", target, int(number))
                 end = "found"
             tally.ends[target, end] += 1
 
@@ -127,7 +133,7 @@ def fuzz(targets: Sequence[str], seconds: float, seed: int, first: int = 0, last
                 if hangs or (os.WIFSIGNALED(status) and used + spent <= seconds):
                     how = "does not end" if hangs else f"is ended by {signal.Signals(os.WTERMSIG(status)).name}"
                     target = targets[number % len(targets)]
-                    tally.findings.setdefault(f"{target}: {how}", (target, number))
+                    tally.find(f"{target}: {how}", target, number)
                     tally.ends[target, "found"] += 1
         os.close(reading)
         used, first = used + spent, number + 1

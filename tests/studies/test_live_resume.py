@@ -11,14 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from killed import killed
+from live_feeds import CYCLES, lines, waves
 from run_files import contents
 
 from dafw import Observation, Readings, Selection, Study
 from dafw.commands import main
-from dafw.core.checkpoints.plan import CheckpointPlan
 from dafw.core.errors import ReadingsError, RunError
 from dafw.core.runs import summary_of
-from dafw.plugins.filters.enks import EnKS
 from dafw.plugins.filters.etkf import ETKF
 from dafw.plugins.models.lorenz96 import Lorenz96
 from dafw.plugins.readings.feed.journal import cycles_in
@@ -26,24 +25,6 @@ from dafw.plugins.readings.live import Live
 from dafw.studies.running import run_study
 
 ROOT = Path(__file__).parents[2]
-CYCLES, DT = 9, 0.05
-
-
-def lines(first=0, last=CYCLES, end=True):
-    """Return what a feed says from one cycle to another."""
-    told = []
-    for cycle in range(first, last):
-        for entry in range(0, 40, 4):
-            time = (cycle + (entry % 3) / 3) * DT
-            told.append(json.dumps({"time": time, "entry": entry, "value": 2.0 + np.sin(entry + cycle), "sd": 1.0}))
-        told += ["garbage", told[-1], json.dumps({"until": (cycle + 1) * DT})]
-    return "".join(f"{one}\n" for one in [*told, *(['{"end": true}'] if end else [])])
-
-
-def waves(source, **options):
-    live = Live.from_options(source=str(source), patience=60.0, **options)
-    parts = {"model": Lorenz96(), "filter": EnKS(window=3), "members": 8, "cycles": CYCLES, "seed": 1000}
-    return Study(**parts, readings=live, checkpoint=CheckpointPlan(cycles=3))
 
 
 @pytest.fixture
