@@ -6,6 +6,8 @@ All draws come from the generator that is passed, so a case can be made again fr
 from __future__ import annotations
 
 import json
+from contextlib import suppress
+from copy import deepcopy
 from random import Random
 from typing import Any
 
@@ -75,11 +77,11 @@ def spoiled_json(document: Any, rng: Random) -> bytes:
 def _replaced(value: Any, rng: Random) -> Any:
     """Return a value with one place in it, at any depth, changed."""
     if not isinstance(value, dict | list) or not value or rng.random() < 0.1:
-        return rng.choice(ODD)
+        return deepcopy(rng.choice(ODD))
     if isinstance(value, list):
         at: Any = rng.randrange(len(value))
         if rng.random() < 0.1:
-            value.insert(at, rng.choice(ODD))
+            value.insert(at, deepcopy(rng.choice(ODD)))
             return value
     else:
         at = rng.choice(list(value))
@@ -111,7 +113,6 @@ NUMBERS = [0.0, 1.0, 2.0, 3.5, -1.0, 1e300, float("nan"), float("inf"), 255.0, 1
 def dataset(rng: Random) -> bytes:
     """Return a netCDF file with variables of any names, types, dimensions, attributes and values."""
     import netCDF4
-    import numpy as np
 
     file = netCDF4.Dataset("drawn", "w", memory=1024, format=rng.choice(["NETCDF4", "NETCDF4", "NETCDF3_CLASSIC"]))
     sizes = {"obs": rng.choice((1, 3, 3, 3, 0)), "station": rng.choice((1, 2, 2, 3))}
@@ -126,20 +127,27 @@ def dataset(rng: Random) -> bytes:
         if classic and kind in ("i8", "u8", "str"):
             kind = "f8"
         dims = rng.choice((("obs",), ("obs",), ("obs",), ("station",), ("station", "obs"), (), ("obs", "station")))
-        made = file.createVariable(name, str if kind == "str" else kind, dims)
-        for key in rng.sample(list(ATTRIBUTES), rng.choice((0, 1, 1, 2))):
-            made.setncattr(key, rng.choice(ATTRIBUTES[key]))
-        shape = tuple(sizes[dim] for dim in dims)
-        if max(shape, default=0) > 10:
-            continue
-        made.set_auto_maskandscale(False)
-        drawn_values = [rng.choice(NUMBERS) for _ in range(int(np.prod(shape)))]
-        if kind in ("str", "S1"):
-            values: Any = np.array([f"{value:g}"[: 1 if kind == "S1" else 9] for value in drawn_values], dtype=object)
-            values = values.astype("S1") if kind == "S1" else values
-        else:
-            wide = np.array(drawn_values) if kind[0] == "f" else np.nan_to_num(drawn_values, posinf=1.0).clip(0, 100)
-            with np.errstate(over="ignore"):
-                values = wide.astype(kind)
-        made[...] = values.reshape(shape) if shape else values[0]
+        with suppress(RuntimeError):  # the older format has not all of it
+            _variable(file, name, kind, dims, tuple(sizes[dim] for dim in dims), rng)
     return bytes(file.close())
+
+
+def _variable(file: Any, name: str, kind: str, dims: tuple[str, ...], shape: tuple[int, ...], rng: Random) -> None:
+    """Add a variable with any attributes and values."""
+    import numpy as np
+
+    made = file.createVariable(name, str if kind == "str" else kind, dims)
+    for key in rng.sample(list(ATTRIBUTES), rng.choice((0, 1, 1, 2))):
+        made.setncattr(key, rng.choice(ATTRIBUTES[key]))
+    if max(shape, default=0) > 10:
+        return
+    made.set_auto_maskandscale(False)
+    drawn = [rng.choice(NUMBERS) for _ in range(int(np.prod(shape)))]
+    if kind in ("str", "S1"):
+        values: Any = np.array([f"{value:g}"[: 1 if kind == "S1" else 9] for value in drawn], dtype=object)
+        values = values.astype("S1") if kind == "S1" else values
+    else:
+        wide = np.array(drawn) if kind[0] == "f" else np.nan_to_num(drawn, posinf=1.0).clip(0, 100)
+        with np.errstate(over="ignore"):
+            values = wide.astype(kind)
+    made[...] = values.reshape(shape) if shape else values[0]
