@@ -65,7 +65,7 @@ def tried(target: str, number: int, seed: int) -> str:
             frames = traceback.extract_tb(error.__traceback__)
             own = [one for one in frames if "/dafw/" in one.filename or "/benchmarks/" in one.filename]
             place = f"{Path(own[-1].filename).name}:{own[-1].lineno}" if own else "?"
-            return f"FOUND: {type(error).__name__} at {place}: {' '.join(str(error).split())[:150]}"
+            return f"FOUND: {type(error).__name__} at {place}: {' '.join(str(error).replace(name, '').split())[:150]}"
 
 
 def _worker(targets: Sequence[str], first: int, last: int | None, seed: int, shared: mmap.mmap, pipe: int) -> None:

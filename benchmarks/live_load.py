@@ -222,9 +222,11 @@ def _send(
 
     for cycle in range(round(asked.seconds / sensors.dt)):
         sensors.step()
-        while asked.speed == 0.0 and watched.cycle < cycle - 1:
+        while asked.speed == 0.0 and watched.cycle < cycle - 1 and not watched.ended:
             watched.look(moment, run.pid)
             time.sleep(0.002)
+        if watched.ended or run.poll() is not None:
+            raise SystemExit(f"live_load: the run has ended: {run.communicate()[1]}")
         for tick in range(max(1, round(sensors.dt * asked.rate))):
             moment = (cycle + (tick + 1) / max(1, round(sensors.dt * asked.rate))) * sensors.dt
             while now() < moment:

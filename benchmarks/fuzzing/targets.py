@@ -38,8 +38,8 @@ CSV = b"""time,x,y,value,unit,sd,sensor,arrives
 2.5,,,7,mg m-3,0.1,b,
 """
 DATED = b"""when;longitude;latitude;value (mg m-3);sensor
-2026-11-30T12:00:00Z;8.0001;50.0001;5,5;a
-2026-11-30T13:00:01+01:00;8.0002;50.0002;6,5;b
+2026-11-30T12:00:00Z;8,0001;50,0001;5,5;a
+2026-11-30T13:00:01+01:00;8,0002;50,0002;6,5;b
 """
 POINTS: Any = {
     "type": "FeatureCollection",
@@ -49,7 +49,7 @@ POINTS: Any = {
             "geometry": {"type": "Point", "coordinates": [8.0001, 50.0001]},
             "properties": {"time": time, "value": 2.0, "sd": 0.5, "unit": "mg m-3", "sensor": "a"},
         }
-        for time in (1, 2, "2026-11-30T12:00:00Z")
+        for time in (1, 2, 2.5)
     ],
 }
 BUILDINGS: Any = {
@@ -111,8 +111,8 @@ def taken(source: Any) -> str:
 
 
 def _recorded(path: Path, rng: Random, **options: Any) -> str:
-    chosen: dict[str, Any] = {"file": str(path), "sd": 1.0}
-    more = [{"start": "first"}, {"unit": "ppm"}, {"reference": "2 mg m-3"}, {"averaging": 2.0}, {"origin": "first"}]
+    chosen: dict[str, Any] = {"file": str(path), "sd": 1.0, "start": "first"}
+    more = [{"start": None}, {"unit": "ppm"}, {"reference": "2 mg m-3"}, {"averaging": 2.0}, {"origin": "first"}]
     more += [{"repeated": "mean"}, {"entries": {"a": 0}}, {"highest": 5.0}, {"units_in_cells": True}]
     for one in (options, rng.choice([{}, {}, *more])):
         chosen |= one
@@ -130,9 +130,9 @@ def _recorded(path: Path, rng: Random, **options: Any) -> str:
 def csv(folder: Path, rng: Random) -> str:
     """Read a table of readings in CSV."""
     path = folder / "a.csv"
-    path.write_bytes(spoiled(rng.choice((CSV, DATED)), rng))
-    semicolons = {"columns": {"time": "when"}, "decimal": "comma"}
-    return _recorded(path, rng, **rng.choice(({}, semicolons, {"delimiter": "space"}, {"time_format": "%H:%M*"})))
+    data, options = rng.choice(((CSV, {}), (DATED, {"columns": {"time": "when"}, "decimal": "comma"})))
+    path.write_bytes(spoiled(data, rng))
+    return _recorded(path, rng, **rng.choice((options, options, {"delimiter": "space"}, {"time_format": "%H:%M*"})))
 
 
 def geojson(folder: Path, rng: Random) -> str:
@@ -145,8 +145,9 @@ def geojson(folder: Path, rng: Random) -> str:
 def netcdf(folder: Path, rng: Random) -> str:
     """Read readings in netCDF: any layout, or a file with other bytes in it."""
     path = folder / "a.nc"
-    data = dataset(rng)
-    path.write_bytes(data if rng.random() < 0.7 else spoiled(data, rng))
+    dataset(path, rng)
+    if rng.random() < 0.3:
+        path.write_bytes(spoiled(path.read_bytes(), rng))
     return _recorded(path, rng)
 
 

@@ -61,7 +61,7 @@ def test_a_run_goes_on_with_what_came_while_it_was_down(cycle, whole, tmp_path, 
     assert contents(folder) == contents(whole)
     assert summary["readings_left_out"] == summary_of(whole)["readings_left_out"]
     said = capsys.readouterr().err
-    assert (f"the readings of {cycle - 1} cycles are in journal.jsonl" in said) == (folder.exists() and cycle > 1)
+    assert (f"cycles in journal.jsonl: {cycle - 1}; then readings come from {feed}, from where" in said) == (cycle > 1)
     assert advised(folder) == [*range(cycle - 1), None, *range(cycle - 1, CYCLES + 1)]
 
 
@@ -109,7 +109,7 @@ def test_a_pipe_says_that_what_was_sent_in_between_is_lost(tmp_path, monkeypatch
     monkeypatch.setattr("dafw.plugins.readings.live.Pipe", lambda number: None)
     source = Live(clock="wall")
     source.begin(tmp_path, lambda: False)
-    expected = "the readings of 1 cycles are in journal.jsonl; then they come from standard input as it is now"
+    expected = "cycles in journal.jsonl: 1; then readings come from standard input as it is now"
     assert f"{expected}; what was sent in between is lost" in capsys.readouterr().err
     assert expected in source.notes()[1]
     assert source.zero_of_run(None) == 7.0 and source.known_cycles() == 1

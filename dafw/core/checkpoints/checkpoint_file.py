@@ -85,7 +85,8 @@ def read_checkpoint(path: Path) -> Checkpoint:
         told = json.loads(arrays.pop(TOLD).tobytes())
         form, version, cycle = told["format"], told["version"], told["cycle"]
     except FAILURES as error:
-        raise CheckpointError(f"{path}: is damaged ({type(error).__name__}: {error})") from error
+        said = " ".join(str(error).split())[:200]
+        raise CheckpointError(f"{path}: is damaged ({type(error).__name__}: {said})") from error
     if (form, version) != (FORMAT, VERSION):
         raise CheckpointError(f"{path}: is a '{form}' of version {version}, expected '{FORMAT}' of version {VERSION}")
     if wrong := [name for name, kind in TOLD_OF.items() if not isinstance(told.get(name), kind)]:

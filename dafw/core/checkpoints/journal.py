@@ -84,4 +84,5 @@ def entries(path: Path, length: int) -> Iterator[tuple[dict[str, Any], dict[str,
                     place += array.nbytes
                 yield text["told"], arrays
     except (OSError, ValueError, LookupError, TypeError, RecursionError, MemoryError, struct.error) as error:
-        raise CheckpointError(f"{path}: is damaged ({type(error).__name__}: {error})") from error
+        said = " ".join(str(error).split())[:200]
+        raise CheckpointError(f"{path}: is damaged ({type(error).__name__}: {said})") from error

@@ -128,12 +128,12 @@ class Live(FeedOptions, Readings):
     def _goes_on(self) -> str:
         """Return where the readings of a run that goes on come from, and what is lost."""
         if self.source == MQTT:
-            kept = "what the broker kept for it" if self._connected_broker().kept else "the broker, which kept nothing"
+            kept = "what the broker kept" if self._connected_broker().kept else "the broker, which has kept nothing"
         elif self._is_pipe:
             kept = f"{self._place} as it is now; what was sent in between is lost"
         else:
             kept = f"{self._place}, from where it was read to"
-        return f"the readings of {self._known} cycles are in {FILE}; then they come from {kept}"
+        return f"cycles in {FILE}: {self._known}; then readings come from {kept}"
 
     @property
     def _is_pipe(self) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 
+import netCDF4
 import numpy as np
 import pytest
 import xarray
@@ -16,6 +17,7 @@ CSV = {
     "empty": ("", "is empty, expected a line of column names"),
     "blank lines only": ("\n\n  \n", "is empty, expected a line of column names"),
     "no time": ("t,x,y,value\n1,0,0,5\n", "no column 'time' (there are: t, x, y, value), say which with columns.time"),
+    "five hundred columns": (",".join(f"c{n}" for n in range(500)) + "\n", "c18, c19 and 480 more), say which"),
     "no value": ("time,x,y\n1,0,0\n", "no column 'value'"),
     "two values": ("time,value,value\n1,0,0\n", "2 columns are called 'value', expected one"),
     "y missing": ("time,x,value\n1,0,5\n", "no column 'y' beside 'x'"),
@@ -156,6 +158,14 @@ NETCDF = {
         series(index=("station", np.array([1, 1], dtype="i4"), {"sample_dimension": "obs"})),
         "column 'index': its sum is 2, but there are 3 readings",
     ),
+    "a huge station": (
+        series(index=("obs", np.array([0, 1e300, 1]), {"instance_dimension": "station"})),
+        "column 'index': expected whole numbers from 0",
+    ),
+    "half a station": (
+        series(index=("obs", np.array([0, 0.5, 1]), {"instance_dimension": "station"})),
+        "column 'index': expected whole numbers from 0",
+    ),
     "an unknown unit": (
         series(value=("obs", [1.0, 2, 3], {"units": "zork"})),
         "column 'value': the unit 'zork' is not known",
@@ -222,6 +232,15 @@ def test_broken_netcdf(kind, tmp_path, capsys):
         series().to_netcdf(path, engine="netcdf4")
         path.write_bytes(content or path.read_bytes()[:1000])
     assert said in refused(path, capsys)
+
+
+def test_a_small_file_that_declares_billions_of_readings(tmp_path, capsys):
+    with netCDF4.Dataset(tmp_path / "a.nc", "w") as file:
+        file.createDimension("obs", 2_000_000_000)
+        for name in ("time", "value"):
+            file.createVariable(name, "f8", ("obs",))
+    assert (tmp_path / "a.nc").stat().st_size < 100_000
+    assert "would take 32.0 GB of memory, at most 2 GB are read" in refused(tmp_path / "a.nc", capsys)
 
 
 @pytest.mark.parametrize("content", [GOOD, "time,value\n1,2\n"])

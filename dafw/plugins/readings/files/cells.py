@@ -24,6 +24,8 @@ SECONDS_OR_METRES = {"time": "s", "arrives": "s", "x": "m", "y": "m"}
 """Units of columns of numbers to which the file's own are converted."""
 WITH_UNIT = re.compile(r"^([-+]?[\d.,]+(?:[eE][-+]?\d+)?)\s*([^\s\d.,].*)$", re.DOTALL)
 """A number and its unit in one cell."""
+LISTED, LONGEST_NAME = 20, 40
+"""Columns that a message lists, and characters that it shows of a name."""
 LIMITS = {"lon": (-180.0, 360.0), "lat": (-90.0, 90.0)}
 
 
@@ -38,6 +40,12 @@ class Raw:
     names: Mapping[str, str]
     units: Mapping[str, str]
     others: tuple[str, ...] = ()
+
+
+def shown_name(name: str) -> str:
+    """Return a column's plain name in a line: not too long, and without what cannot be printed."""
+    name = plain_name(name)
+    return name if name.isprintable() and len(name) <= LONGEST_NAME else shown(name)
 
 
 def plain_name(name: str) -> str:
@@ -71,7 +79,8 @@ def find_columns(headers: Sequence[str], asked: ColumnOptions, path: str) -> dic
         if places:
             found[role] = places[0]
         elif given is not None or role in ("time", "value"):
-            listed = ", ".join(plain_name(name) for name in headers)
+            listed = ", ".join(shown_name(name) for name in headers[:LISTED])
+            listed += f" and {len(headers) - LISTED} more" if len(headers) > LISTED else ""
             hint = "" if given is not None else f", say which with columns.{role}"
             raise about(path, f"no column {shown(candidates[0])} (there are: {listed or 'none'}){hint}")
     return found

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from dafw.core.errors import ReadingsError
 from dafw.plugins.readings.files.cells import Raw, find_columns, made
 from dafw.plugins.readings.files.options import FileOptions
 from dafw.plugins.readings.files.table import Table, about, written_date
@@ -27,6 +28,10 @@ STANDARD_NAMES = {
     "x": "projection_x_coordinate",
     "y": "projection_y_coordinate",
 }
+LARGEST = 2_000_000_000
+"""Bytes that the variables of a file may have."""
+EXACT = 2**53
+"""Up to here every whole number is a floating-point number."""
 IDS = ("timeseries_id", "trajectory_id")
 STRUCTURE = ("instance_dimension", "sample_dimension")
 """Attributes of variables that say which reading belongs to which instance."""
@@ -39,7 +44,12 @@ def read_netcdf(path: Path, options: FileOptions) -> Table:
     name = str(path)
     try:
         with xarray.open_dataset(path, engine="netcdf4", decode_times=False, decode_coords=False) as opened:
+            if opened.nbytes > LARGEST:  # a few bytes can declare a dimension of billions
+                text = f"would take {opened.nbytes / 1e9:.1f} GB of memory, at most {LARGEST / 1e9:g} GB are read"
+                raise about(name, text)
             dataset = opened.load()
+    except ReadingsError:
+        raise
     except Exception as error:  # netCDF4, HDF5 and xarray raise errors of many kinds for what is not netCDF
         raise about(name, f"cannot be read as netCDF ({' '.join(str(error).split())[:120]})") from None
     return _table(dataset.reset_coords(), name, options)
@@ -125,7 +135,7 @@ def _owners(dataset: Any, instances: Any, values: Any, name: str) -> Any:
             continue
         numbers = np.asarray(variable)
         count = dataset.sizes[instances]
-        if numbers.dtype.kind not in "iuf" or not np.isfinite(numbers).all() or (numbers < 0).any():
+        if numbers.dtype.kind not in "iuf" or not ((numbers >= 0) & (numbers <= EXACT) & (numbers % 1 == 0)).all():
             raise about(name, "expected whole numbers from 0", column=str(one))
         numbers = numbers.astype(np.int64)
         if indexed and (numbers >= count).any():
