@@ -37,13 +37,15 @@ from dafw.plugins.models.dispersion.site.options import SiteOptions
 from dafw.plugins.models.dispersion.sources import SourceOptions, largest_scale, released, sources, supply
 from dafw.plugins.models.dispersion.transport.kept import KeptSystems
 from dafw.plugins.models.dispersion.transport.options import TransportOptions, require_one_process
-from dafw.plugins.models.dispersion.unknowns import unknowns
+from dafw.plugins.models.dispersion.unknowns import Possible, unknowns
 from dafw.plugins.models.dispersion.wind_change import WindChange, WindChangeOptions
 
 if TYPE_CHECKING:
     from dafw.plugins.models.dispersion.site.site import Site
     from dafw.plugins.models.dispersion.transport.transport import System, Transport
 
+MAX_DRAWS = 1000
+"""Draws from the priors for one member of the first guess; where fewer than 1 % are possible, something is wrong."""
 BLOCK_BYTES = 2**23
 """About how much memory, in bytes, the states of the steps that are made at once may take."""
 
@@ -74,7 +76,7 @@ class AdvectionDiffusion(Model):
     estimate: list[str] = option(
         [],
         "more unknowns, which become part of the state: diffusion, release_x, release_y; for a burst amount; for a "
-        "leak rate, leak_start; for a second source release_2_x, rate_2, ...",
+        "leak rate, leak_start; for a second source release_2_x, rate_2, ...; ad_ins has viscosity, too",
     )
     priors: dict[str, Any] = option({}, "priors of unknowns by name, instead of the default priors")
     certain: bool = option(False, "every unknown has the value of its option; for the truth and the free run")
@@ -103,7 +105,11 @@ class AdvectionDiffusion(Model):
             raise ConfigurationError(f"the release must be one place [x, y] in metres, got {self.release}")
         self._sources = sources(self.release, self.release_radius, self.source)
         self._wind_change = WindChange(self.wind_change)
-        self._unknown = unknowns(self)
+        self._unknown = unknowns(self, self.own_unknowns())
+
+    def own_unknowns(self) -> Mapping[str, Possible]:
+        """Return what can be estimated of this model beside what all have, by name."""
+        return {}
 
     @cached_property
     def place(self) -> Site:
@@ -217,15 +223,24 @@ class AdvectionDiffusion(Model):
         nothing = np.zeros(self.space["concentration"].size)
 
         def one(generator: np.random.Generator) -> Array:
-            drawn = {one.name: one.prior.draw(generator) for one in self._unknown}
-            return self.space.pack({"concentration": nothing, **drawn})
+            for _ in range(MAX_DRAWS):
+                drawn = {one.name: one.prior.draw(generator) for one in self._unknown}
+                member = self.space.pack({"concentration": nothing, **drawn})
+                if self.possible(member[np.newaxis]).all():
+                    return member
+            raise ConfigurationError(f"{self.label}: of {MAX_DRAWS} draws of the first guess none is possible")
 
         return self.settled(rng.draw(n_members, one))
 
     def log_first_guess(self, members: Array) -> Array:
-        """Return the log density (N,) of the priors at the unknowns of members (N, n)."""
+        """Return the log density (N,) of the priors at the unknowns of members (N, n); -inf if not possible."""
         state = self.space.unpack(members)
-        return np.sum([one.prior.log_density(state[one.name][:, 0]) for one in self._unknown], axis=0)
+        density = np.sum([one.prior.log_density(state[one.name][:, 0]) for one in self._unknown], axis=0)
+        return np.where(self.possible(members), density, -np.inf)
+
+    def possible(self, members: Array) -> np.ndarray:
+        """Return for which members (N, n) the model has a step (N,), bool: what the prior of one number cannot say."""
+        return np.ones(len(members), dtype=bool)
 
     def settled(self, members: Array) -> Array:
         """Return the members (N, n) with the gas that the bursts of their releases leave at t = 0."""
@@ -262,7 +277,7 @@ class AdvectionDiffusion(Model):
         for state, time in zip(states, times, strict=True):
             speed, direction = first["wind_speed"][:, 0], first["wind_direction"][:, 0]
             speed, direction = self._wind_change.wind(time + 0.5 * self.dt, speed, direction, first)
-            found, memory, diagnostics = self.winds(speed, direction, memory, time)
+            found, memory, diagnostics = self.winds(speed, direction, first, memory, time)
             winds.append(found)
             supplied = supply(self._sources, self._topology[0], first, time, self.dt)
             rates.append(None if supplied is None else np.broadcast_to(supplied, first["concentration"].shape))
@@ -281,13 +296,14 @@ class AdvectionDiffusion(Model):
         ]
 
     def winds(
-        self, speed: Array, direction: Array, memory: Memory | None, t: float
+        self, speed: Array, direction: Array, state: Mapping[str, Array], memory: Memory | None, t: float
     ) -> tuple[Array, Memory | None, Diagnostics]:
         """Return the winds (N, k) of the members, in numbers that define them, with new memory and diagnostics.
 
         Args:
             speed: (N,) wind speed of every member in m/s.
             direction: (N,) towards which the air moves, in radians.
+            state: the variables of the members by name, (N, size) each, for what else a wind depends on.
             memory: that of the members.
             t: time in s.
         """
