@@ -13,10 +13,9 @@ imported where it is first used.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import accumulate
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,16 +23,12 @@ import numpy as np
 from dafw.core.domain import Domain
 from dafw.core.ensemble import Diagnostics, Memory, Step
 from dafw.core.errors import ConfigurationError
-from dafw.core.interfaces import Model
 from dafw.core.options import option
 from dafw.core.rng import MemberStreams
-from dafw.core.sharing import Shared
 from dafw.core.space import NONNEGATIVE, Array, StateSpace, Variable
-from dafw.plugins.models.dispersion.mesh.options import MeshOptions
 from dafw.plugins.models.dispersion.mesh.partition import Partition, Undivided
-from dafw.plugins.models.dispersion.mesh.tagged import TaggedMesh
+from dafw.plugins.models.dispersion.on_mesh import OnMesh
 from dafw.plugins.models.dispersion.plausible import largest_concentration
-from dafw.plugins.models.dispersion.site.options import SiteOptions
 from dafw.plugins.models.dispersion.sources import SourceOptions, largest_scale, released, sources, supply
 from dafw.plugins.models.dispersion.transport.kept import KeptSystems
 from dafw.plugins.models.dispersion.transport.options import TransportOptions, require_one_process
@@ -41,7 +36,6 @@ from dafw.plugins.models.dispersion.unknowns import Possible, unknowns
 from dafw.plugins.models.dispersion.wind_change import WindChange, WindChangeOptions
 
 if TYPE_CHECKING:
-    from dafw.plugins.models.dispersion.site.site import Site
     from dafw.plugins.models.dispersion.transport.transport import System, Transport
 
 MAX_DRAWS = 1000
@@ -51,11 +45,9 @@ BLOCK_BYTES = 2**23
 
 
 @dataclass
-class AdvectionDiffusion(Model):
+class AdvectionDiffusion(OnMesh):
     """Gas dispersion in a given uniform wind, over open ground: buildings stop vehicles, not the gas."""
 
-    site: SiteOptions = option(SiteOptions, "the site")
-    mesh: MeshOptions = option(MeshOptions, "the mesh")
     transport: TransportOptions = option(TransportOptions, "the transport of the gas")
     dt: float = option(1.0, "time step in seconds", above=0.0)
     release: list[float] = option([0.0, 0.0], "place of the (first) release, [x, y] in metres")
@@ -82,8 +74,6 @@ class AdvectionDiffusion(Model):
     certain: bool = option(False, "every unknown has the value of its option; for the truth and the free run")
 
     _systems: KeptSystems[Any] = field(default_factory=KeptSystems, init=False, repr=False)
-    _shared: Shared = field(default_factory=Shared, init=False, repr=False, compare=False)
-    _communicator: Any = field(default=None, init=False, repr=False)
 
     @property
     def expected_failures(self) -> Mapping[str, str]:  # type: ignore[override]  # it depends on the options
@@ -111,22 +101,6 @@ class AdvectionDiffusion(Model):
         """Return what can be estimated of this model beside what all have, by name."""
         return {}
 
-    @cached_property
-    def place(self) -> Site:
-        """The site; raises SiteError."""
-        from dafw.plugins.models.dispersion.site.site import load_site
-
-        return self._shared.once(("site", repr(self.site)), lambda: load_site(self.site))
-
-    @cached_property
-    def ground(self) -> Site:
-        """The site of the mesh: without buildings, since with a wind through walls the transport would be ill-posed."""
-        return replace(self.place, buildings=(), names=(), types=())
-
-    def share_with(self, shared: Shared) -> None:
-        """Use ``shared`` for the site, the mesh and what is computed from them."""
-        self._shared = shared
-
     def distribute(self, communicator: Any) -> None:
         """Divide the mesh among the ranks of an MPI communicator; every rank still has the full state.
 
@@ -139,30 +113,6 @@ class AdvectionDiffusion(Model):
         self._communicator = communicator
 
     @cached_property
-    def _mesh_file(self) -> Path:
-        from dafw.plugins.models.dispersion.mesh.generate import generate
-
-        return generate(self.ground, self.mesh)
-
-    @cached_property
-    def tagged_mesh(self) -> TaggedMesh:
-        """The mesh of ``ground``, as one process holds it."""
-        from dafw.plugins.models.dispersion.mesh.load import load
-
-        file = self._mesh_file
-        return self._shared.once(("mesh", file), lambda: load(file))
-
-    @cached_property
-    def solver_mesh(self) -> TaggedMesh:
-        """The mesh that the solvers work on: ``tagged_mesh``, or the same mesh divided among the ranks."""
-        from dafw.plugins.models.dispersion.mesh.load import load
-
-        file, communicator = self._mesh_file, self._communicator
-        if communicator is None:
-            return self.tagged_mesh
-        return self._shared.once(("divided mesh", file, communicator.handle), lambda: load(file, communicator))
-
-    @cached_property
     def _nodes(self) -> Partition | Undivided:
         """The step between the nodes of the state and those of the transport on this rank."""
         from dafw.plugins.models.dispersion.fem.numbering import nearest
@@ -171,14 +121,6 @@ class AdvectionDiffusion(Model):
         if self._communicator is None:
             return Undivided(len(nodes))
         return Partition(nearest(nodes, self._transport.matrices.places), self._communicator)
-
-    @cached_property
-    def _topology(self) -> tuple[Array, Any]:
-        """The nodes (nodes, 2) in m and the triangles (faces, 3)."""
-        from dafw.plugins.models.dispersion.mesh.load import topology
-
-        mesh = self.tagged_mesh
-        return self._shared.once(("topology", mesh), lambda: topology(mesh))
 
     @cached_property
     def space(self) -> StateSpace:  # type: ignore[override]  # made when first asked for
