@@ -38,7 +38,6 @@ from dafw.core.experiment import study_from
 from dafw.core.runs import summary_of
 from dafw.plugins.readings.feed.mqtt import Broker, BrokerOptions
 
-SD = 0.001
 PATIENCE = 600.0
 
 
@@ -72,7 +71,8 @@ def mosquitto(folder: Path, port: int) -> Iterator[subprocess.Popen[bytes]]:
 class Sensors:
     """Sensors at nodes of a truth, which is stepped a cycle at a time."""
 
-    def __init__(self, words: Sequence[str], count: int) -> None:
+    def __init__(self, words: Sequence[str], count: int, sd: float = 1.0) -> None:
+        self._sd = sd
         composed = study_part(compose(words))
         study = study_from({**composed, "readings": {"name": "twin"}})
         self._parts, _ = study.prepare()
@@ -97,7 +97,7 @@ class Sensors:
         """Yield a message of each sensor."""
         values = self._parts.seen(self._truth).members[0, self._nodes]
         for number, (place, value) in enumerate(zip(self._places, values.tolist(), strict=True)):
-            told = {"value": value + SD * self._rng.standard_normal(), "sd": SD, "sensor": f"s{number}"}
+            told = {"value": value + self._sd * self._rng.standard_normal(), "sd": self._sd, "sensor": f"s{number}"}
             yield json.dumps({"time": moment, **place, **told}).encode()
 
 
@@ -154,16 +154,18 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--rate", type=float, default=10.0, help="readings a second of each sensor")
     parser.add_argument("--seconds", type=float, default=600.0, help="of the study")
     parser.add_argument("--speed", type=float, default=1.0, help="seconds of the study in one of the clock, 0: all")
+    parser.add_argument("--sd", type=float, default=0.01, help="error of a reading")
+    parser.add_argument("--experiment", default="live", help="the study")
     parser.add_argument("--most", type=float, default=2.0, help="the largest lag that is allowed, in cycles")
     parser.add_argument("--warm", type=int, default=5, help="first cycles whose lag does not count")
-    parser.add_argument("words", nargs="*", help="words of the run beside experiment=live")
+    parser.add_argument("words", nargs="*", help="further words of the run")
     asked = parser.parse_intermixed_args(words)
     with tempfile.TemporaryDirectory(prefix="dafw-load-") as name:
         place, port = Path(name), free_port()
-        given = ["experiment=live", *asked.words]
+        given = [f"experiment={asked.experiment}", *asked.words]
         cycles = round(asked.seconds / Sensors(given, 1).dt)
         given += [f"cycles={cycles}", "pictures=false"]
-        sensors = Sensors(given, asked.sensors)
+        sensors = Sensors(given, asked.sensors, asked.sd)
         live = ["readings=live", "readings.source=mqtt", f"readings.mqtt.port={port}", f"readings.patience={PATIENCE}"]
         command = [sys.executable, "-m", "dafw", "run", *given, *live, f"hydra.run.dir={place / 'run'}"]
         with mosquitto(place, port) as broker:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from dafw import ConfigurationError, Domain, Request, StateSpace, Variable
-from dafw.core.errors import NoMoreReadingsError
+from dafw.core.errors import NoMoreReadingsError, ReadingsError
 from dafw.core.geography import to_degrees
 from dafw.core.observation import Selection
 from dafw.plugins.readings.feed import collecting, feed
@@ -339,6 +339,23 @@ def test_a_journal_can_be_the_feed_of_another_run(tmp_path):
     assert [observed(again.take()), observed(again.take())] == whole
     with pytest.raises(NoMoreReadingsError):
         again.take()
+
+
+@pytest.mark.parametrize(
+    "entry",
+    [
+        *("7", "[]", '{"cycle": 0}', '{"cycle": 0, "at": "soon", "line": ""}', '{"cycle": 0, "at": NaN, "line": ""}'),
+        *('{"cycle": 0, "at": 1' + "0" * 400 + ', "line": ""}', '{"cycle": 0, "at": 1, "line": "", "offset": -1}'),
+        *('{"cycle": 0, "at": 1, "left_out": "lost", "count": -3}', '{"cycle": 1e999, "end": true}', "[" * 5000),
+    ],
+)
+def test_a_journal_that_is_damaged_is_refused(entry, tmp_path):
+    (tmp_path / "journal.jsonl").write_text('{"journal": 1, "zero": 1' + "0" * 400 + "}\n" + entry + "\n")
+    source = Live(source=str(tmp_path / "journal.jsonl"), clock="wall")
+    source.suit(SPACE, GROUND, 1.0)
+    request = Request(0, 0.0, 1.0, SPACE, GROUND, Selection(indices=np.empty(0, dtype=int), covariance=np.empty(0)))
+    with pytest.raises(ReadingsError, match="line 2: expected an entry of a journal"):
+        source.collect(request, None, np.random.default_rng(0))
 
 
 @pytest.mark.parametrize(

@@ -7,9 +7,11 @@ import os
 import shutil
 import socket
 import subprocess
+import sys
 import threading
 import time
 from contextlib import contextmanager
+from pathlib import Path
 
 import pytest
 
@@ -28,6 +30,7 @@ from dafw.studies.simulating import Advised, Simulation, line_of
 MOSQUITTO = shutil.which("mosquitto") or shutil.which("mosquitto", path="/usr/sbin")
 pytestmark = pytest.mark.skipif(MOSQUITTO is None, reason="there is no broker: mosquitto is not installed")
 PATIENCE = 60.0
+ROOT = Path(__file__).parents[3]
 
 
 def free_port():
@@ -222,3 +225,14 @@ def test_the_link_can_be_encrypted_and_a_broker_that_nobody_vouches_for_is_refus
 def test_advice_for_a_broker_needs_one():
     with pytest.raises(ConfigurationError, match="goes with readings=live"):
         Study(model=Lorenz96(), truth=Lorenz96(), filter=ETKF(), members=4, cycles=1, advice=["mqtt"])
+
+
+def test_the_benchmark_of_load_sends_and_counts_every_reading():
+    words = ["--experiment", "lorenz96", "--seconds", "1", "--speed", "0", "--rate", "40", "--sd", "1", "--most", "1e9"]
+    command = [sys.executable, "-m", "benchmarks.live_load", *words, "members=8"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    head, *rows, count, lag = done.stdout.splitlines()
+    assert "lag by the processor" in head and len(rows) == 10
+    assert count.startswith("400 readings sent, 400 taken") and count.endswith("left out: none")
+    assert lag.startswith("lag by the processor, after 5 cycles: at most ")

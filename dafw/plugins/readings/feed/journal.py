@@ -31,6 +31,10 @@ SYNC_SECONDS = 1.0
 """The journal is written to the disk at the end of a cycle, if that was so long ago."""
 LONGEST_ENTRY = 1 << 20
 """Bytes of an entry: a line of control characters takes six times its length as JSON."""
+LATEST = 1e12
+"""Seconds of the Unix time, some 30,000 years, that no journal can reach."""
+LARGEST = 2**62
+"""Bytes that no file has."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +72,9 @@ def head_of(path: Path) -> Head | None:
     if not isinstance(head, dict) or head.get("journal") != 1:
         return None
     zero = head.get("zero")
-    return Head(float(zero) if isinstance(zero, int | float) else None, str(head.get("client", "")))
+    if not isinstance(zero, int | float) or not abs(zero) < LATEST:
+        zero = None
+    return Head(None if zero is None else float(zero), str(head.get("client", "")))
 
 
 def cycles_in(path: Path) -> int:
@@ -106,8 +112,11 @@ def _entry(data: bytes, path: Path, number: int) -> Entry:
             line = Line(left_out=str(given["left_out"]), count=int(given["count"]))
         else:
             line = Line(str(given["line"]))
-        return Entry(line, float(given["at"]), cycle, offset=int(given.get("offset", 0)))
-    except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        at, offset = float(given["at"]), int(given.get("offset", 0))
+        if not abs(at) < LATEST or not 0 <= offset < LARGEST or line.count < 1:
+            raise ValueError
+        return Entry(line, at, cycle, offset=offset)
+    except (ValueError, OverflowError, TypeError, KeyError, AttributeError, RecursionError):
         raise ReadingsError(f"journal {path}, line {number + 1}: expected an entry of a journal") from None
 
 
