@@ -239,6 +239,15 @@ def test_a_checkpoint_of_another_version_is_refused(written):
         read_checkpoint(path)
 
 
+def test_a_checkpoint_that_says_it_is_encrypted_is_damaged(written):
+    path = checkpoints(written)[0]
+    data = bytearray(path.read_bytes())
+    data[data.index(b"PK\x01\x02") + 8] |= 1
+    path.write_bytes(data)
+    with pytest.raises(CheckpointError, match="is damaged .RuntimeError: .*encrypted"):
+        read_checkpoint(path)
+
+
 @pytest.mark.parametrize("name", TOLD_OF)
 def test_a_checkpoint_that_does_not_say_everything_is_refused(name, tmp_path):
     write_checkpoint(tmp_path, Checkpoint(1, {**SAID, name: None}, {}))

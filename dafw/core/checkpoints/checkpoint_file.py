@@ -35,8 +35,8 @@ TOLD_OF: Mapping[str, type] = {
 }
 """What a checkpoint says at least, and of which type."""
 FAILURES = (
-    *(OSError, ValueError, LookupError, TypeError, EOFError, zipfile.BadZipFile, NotImplementedError),
-    *(RecursionError, MemoryError, zlib.error),
+    *(OSError, ValueError, LookupError, TypeError, EOFError, zipfile.BadZipFile, RuntimeError),
+    *(MemoryError, zlib.error),
 )
 """What reading a damaged file may raise."""
 NAME = re.compile(r"state-(\d+)\.npz")

@@ -41,6 +41,7 @@ from dafw.plugins.readings.files.screening import (
     converted,
     in_study_time,
     possible,
+    require_computable,
     start_of,
     with_unit,
     without_doubles,
@@ -153,7 +154,7 @@ class Recorded(SensorOptions, FileOptions, Readings):
         table, impossible = possible(table, self.lowest, self.highest)
         start = start_of(table, self.start)
         sensors = sensors_of(table, self, self.sensors, "readings 'recorded'")
-        table = with_errors(in_study_time(table, start), sensors)
+        table = require_computable(with_errors(in_study_time(table, start), sensors))
         table, repeated = without_repeats(averaged(table, self.averaging), self.repeated)
         table, slow = undone_response(table, sensors)
         table, below = censored(table, sensors)

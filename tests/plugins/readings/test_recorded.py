@@ -338,3 +338,18 @@ def test_the_command_says_what_a_file_holds(tmp_path, capsys):
         "left out 1 without a time, a value or a place",
     ):
         assert line in said, said
+
+
+@pytest.mark.parametrize(
+    ("row", "said"),
+    [
+        ("2,10,20,1e200,0.5", "line 3, column 'value': expected a number up to 1e+100 that can be computed with"),
+        ("2,10,20,1,1e200", "line 3, column 'sd': expected a number from 1e-100 up to 1e+100"),
+        ("2,10,20,1,1e-200", "got 1e-200"),
+    ],
+)
+def test_numbers_whose_squares_are_none_are_refused(row, said, tmp_path):
+    source = recorded(tmp_path, f"time,x,y,value,sd\n1,10,20,1,0.5\n{row}\n", averaging=2.0)
+    with pytest.raises(ReadingsError) as caught:
+        source.suit(SPACE, GROUND, 1.0)
+    assert said in str(caught.value)

@@ -135,7 +135,8 @@ def _owners(dataset: Any, instances: Any, values: Any, name: str) -> Any:
             continue
         numbers = np.asarray(variable)
         count = dataset.sizes[instances]
-        if numbers.dtype.kind not in "iuf" or not ((numbers >= 0) & (numbers <= EXACT) & (numbers % 1 == 0)).all():
+        possible = numbers.dtype.kind in "iuf" and ((numbers >= 0) & (numbers <= EXACT)).all()
+        if not possible or (numbers % 1 != 0).any():
             raise about(name, "expected whole numbers from 0", column=str(one))
         numbers = numbers.astype(np.int64)
         if indexed and (numbers >= count).any():

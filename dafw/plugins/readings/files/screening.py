@@ -23,6 +23,9 @@ REASONS = {
 }
 """Why a reading is left out, by the name under which it is counted."""
 
+GREATEST = 1e100
+"""The greatest number of a file that is computed with, and its inverse the smallest standard deviation."""
+
 
 def complete(table: Table, kind: str | None) -> tuple[Table, int]:
     """Return the rows that have a time, a value and a place of a ``kind`` of PLACES, and how many have not."""
@@ -72,6 +75,19 @@ def averaged(table: Table, span: float | None) -> Table:
             means[role] = np.bincount(group.ravel(), column) / count
     kept = table.chosen(first)
     return kept.changed(**means | {role: number[first] * span for role in ("time", "arrives") if role in means})
+
+
+def require_computable(table: Table) -> Table:
+    """Return the table; raises ReadingsError for a number whose square is none."""
+    for role in ("value", "sd"):
+        column = np.abs(table.number(role))
+        wrong = (column > GREATEST) | ((column < 1.0 / GREATEST) & (role == "sd"))
+        if wrong.any():
+            row = int(np.argmax(wrong))
+            least = f"from {1.0 / GREATEST:g} " if role == "sd" else ""
+            text = f"expected a number {least}up to {GREATEST:g} that can be computed with"
+            raise table.error(f"{text}, got {table.number(role)[row]:g}", row, role)
+    return table
 
 
 def start_of(table: Table, start: float | str | None) -> float:
