@@ -22,7 +22,7 @@ def test_no_broken_input_does_more_than_be_refused():
     *rows, last = done.stdout.splitlines()
     assert last == "0 findings"
     assert [row.split()[:2] for row in rows] == [[target, "40"] for target in TARGETS]
-    assert sum("refused" in row for row in rows) >= 5 and sum(" read" in row for row in rows) >= 5
+    assert sum("refused" in row for row in rows) >= 5 and sum(" read" in row for row in rows) >= 3
 
 
 BROKEN = """
@@ -43,8 +43,8 @@ def wrong(folder, rng):
 
 from dafw.core.errors import ReadingsError as fuzz_error
 targets.TARGETS["csv"] = wrong
-fuzz.HANGS = 0.5
-sys.exit(fuzz.main(["--only", "csv", "--cases", "12"]))
+fuzz.HANGS = 0.3
+sys.exit(fuzz.main(["--only", "csv", "--cases", "20"]))
 """
 
 

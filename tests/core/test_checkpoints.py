@@ -244,7 +244,7 @@ def test_a_checkpoint_that_says_it_is_encrypted_is_damaged(written):
     data = bytearray(path.read_bytes())
     data[data.index(b"PK\x01\x02") + 8] |= 1
     path.write_bytes(data)
-    with pytest.raises(CheckpointError, match="is damaged .RuntimeError: .*encrypted"):
+    with pytest.raises(CheckpointError, match=r"is damaged .RuntimeError: .*encrypted"):
         read_checkpoint(path)
 
 
