@@ -22,7 +22,8 @@ from pathlib import PurePosixPath
 from typing import Any
 
 from hydra._internal.config_loader_impl import ConfigLoaderImpl
-from hydra._internal.config_repository import CachingConfigRepository, IConfigRepository
+from hydra._internal.config_repository import CachingConfigRepository, ConfigRepository, IConfigRepository
+from hydra.core.config_search_path import ConfigSearchPath
 from hydra.core.default_element import GroupDefault, InputDefault, ResultDefault
 from hydra.core.override_parser.types import ChoiceSweep, Override, OverrideType, ValueType
 from hydra.plugins.config_source import ConfigResult
@@ -35,6 +36,18 @@ ROLES = ("truth", "free")
 """Keys of a study that hold options of a model beside the study's own."""
 
 
+class _Sources(ConfigRepository):
+    """Where configurations are looked up. A copy shares the sources, which nobody changes; its list is its own.
+
+    Hydra makes a copy for each composition. To copy the options of all plugins with it would take a fifth of the time.
+    """
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> _Sources:
+        one = copy.copy(self)
+        one.sources = list(self.sources)
+        return one
+
+
 class StudyLoader(ConfigLoaderImpl):
     """Composes a study. Hydra calls it for everything it does: a run, the jobs of a multirun, ``--cfg``."""
 
@@ -43,6 +56,10 @@ class StudyLoader(ConfigLoaderImpl):
     _appended: Container[str] = ()
     _named_roles: Mapping[str, str]
     _foreign: Mapping[str, set[str]]
+
+    def __init__(self, config_search_path: ConfigSearchPath) -> None:
+        super().__init__(config_search_path)
+        self.repository = _Sources(config_search_path)
 
     def load_configuration(
         self,
