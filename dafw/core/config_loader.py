@@ -35,6 +35,9 @@ from dafw.core.registry import KINDS
 ROLES = ("truth", "free")
 """Keys of a study that hold options of a model beside the study's own."""
 
+KEPT = 100
+"""How many compositions are kept, of about a megabyte each; a multirun may have thousands of jobs."""
+
 
 class _Sources(ConfigRepository):
     """Where configurations are looked up. A copy shares the sources, which nobody changes; its list is its own.
@@ -51,7 +54,7 @@ class _Sources(ConfigRepository):
 class StudyLoader(ConfigLoaderImpl):
     """Composes a study. Hydra calls it for everything it does: a run, the jobs of a multirun, ``--cfg``."""
 
-    _last: tuple[object, DictConfig] | None = None
+    _made: dict[object, DictConfig]
     _multirun = False
     _appended: Container[str] = ()
     _named_roles: Mapping[str, str]
@@ -60,6 +63,11 @@ class StudyLoader(ConfigLoaderImpl):
     def __init__(self, config_search_path: ConfigSearchPath) -> None:
         super().__init__(config_search_path)
         self.repository = _Sources(config_search_path)
+        self._made = {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave what is kept: launchers send the loader with each job to the process that runs it."""
+        return {**vars(self), "_made": {}}
 
     def load_configuration(
         self,
@@ -71,15 +79,19 @@ class StudyLoader(ConfigLoaderImpl):
     ) -> DictConfig:
         """Compose a configuration; raises Hydra's and OmegaConf's exceptions.
 
-        The same request as the last one is not composed again: ``dafw run`` checks a study, then Hydra runs it.
+        The same request is not composed again: ``dafw run`` checks a study, then Hydra runs it; a multirun asks for all
+        jobs before the first, then for each. Kept are the first ``KEPT`` and the last.
         """
         asked = (config_name, tuple(overrides), run_mode, validate_sweep_overrides)
-        if self._last is None or self._last[0] != asked:
+        if asked not in self._made:
             one = copy.copy(self)  # state found while composing must not leak into the next composition
             one._multirun = run_mode == RunMode.MULTIRUN
             arguments = (config_name, overrides, run_mode, from_shell, validate_sweep_overrides)
-            self._last = asked, super(StudyLoader, one).load_configuration(*arguments)
-        return copy.deepcopy(self._last[1])
+            composed = super(StudyLoader, one).load_configuration(*arguments)
+            if len(self._made) > KEPT:
+                self._made.popitem()
+            self._made[asked] = composed
+        return copy.deepcopy(self._made[asked])
 
     def _parse_overrides_and_create_caching_repo(
         self, config_name: str | None, overrides: list[str]
