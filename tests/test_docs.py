@@ -133,7 +133,10 @@ REDUCED = {
     r"python -m benchmarks\.kills$": (f"{BENCHMARKS}.kills --kills 1", "tests/test_kills.py kills more"),
     r"python -m benchmarks\.live_kills$": (f"{BENCHMARKS}.live_kills --kills 1", "tests/studies kill more"),
     r"python -m benchmarks\.live_memory$": (f"{BENCHMARKS}.live_memory --readings 2000", "a million take a minute"),
-    r"(OMP_NUM_THREADS=1 )?python -m benchmarks\.live_load.*$": (f"{BENCHMARKS}.live_load --help", "needs a broker, and time"),
+    r"(OMP_NUM_THREADS=1 )?python -m benchmarks\.live_load.*$": (
+        f"{BENCHMARKS}.live_load --help",
+        "needs a broker",
+    ),
     r"(OMP_NUM_THREADS=1 )?python -m benchmarks\.live_err.*$": (f"{BENCHMARKS}.live_err --help", "takes minutes"),
     r"python -m benchmarks\.fuzz.*$": (f"{BENCHMARKS}.fuzz --cases 7", "tests/test_fuzz.py has more"),
     r"python -m benchmarks\.mismatch.*$": (
