@@ -73,8 +73,11 @@ class Feed:
                 self._tail = entries_of(path, state.entries)
             elif state.entries:
                 raise ReadingsError(f"{path}: is no journal, and {state.entries} entries were taken from one")
-            self._journal = Journal(path, zero, client)
-        self._ahead = next(self._tail, None)
+        self._ahead = next(
+            self._tail, None
+        )  # raises for a journal that was cut short, before it is opened to be written
+        if folder is not None:
+            self._journal = Journal(folder / FILE, zero, client)
 
     @property
     def ended(self) -> bool:
