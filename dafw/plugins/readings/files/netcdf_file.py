@@ -178,7 +178,11 @@ def write_netcdf(table: Table, path: Path) -> None:
     dataset = xarray.Dataset(attrs={"Conventions": "CF-1.11", "title": "readings"})
     if kind in ("metres", "degrees"):
         dataset.attrs["featureType"] = "timeSeries" if fixed else "trajectory"
-    dataset["sensor"] = ((instance,), np.array(sensors, dtype=object), {"cf_role": f"{feature}_id"})
+    dataset["sensor"] = (
+        (instance,),
+        np.array(sensors, dtype=object),
+        {"cf_role": f"{feature}_id", "long_name": "name of the sensor"},
+    )
     dataset["sensor_index"] = (("obs",), owners, {"instance_dimension": instance, "long_name": "sensor of the reading"})
     units = list(dict.fromkeys(table.text("unit")))
     for role, column in table.numbers.items():
