@@ -105,7 +105,7 @@ def test_the_file_opens_with_plain_xarray_and_says_what_it_holds(folder):
         assert file["exceedance_probability"].dims == ("issue", "lead", "threshold", "node")
         assert file["exceedance_probability"].attrs["mesh"] == "mesh2d"
         assert file["mesh2d"].attrs["cf_role"] == "mesh_topology"
-        assert file["issue"].attrs["standard_name"] == "forecast_reference_time"
+        assert file["lead"].attrs["standard_name"] == "forecast_period"
         assert file["area_name"].values.tolist() == ["gate"]
         assert "Flare" in file["building_name"].values
         chances = file["exceedance_probability"].values
