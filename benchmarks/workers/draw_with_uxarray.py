@@ -27,6 +27,7 @@ def main(path: str) -> None:
         on_faces = field.isel(others).topological_mean(destination="face")
         polygons = on_faces.to_polycollection()
         axes = plt.figure().add_subplot()
+        polygons.set_transform(axes.transData)  # metres, which uxarray takes for degrees: so without a projection
         axes.add_collection(polygons)
         axes.autoscale_view()
         axes.figure.canvas.draw()

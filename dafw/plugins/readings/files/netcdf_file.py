@@ -218,7 +218,8 @@ def _attributes(table: Table, role: str) -> dict[str, str]:
     """Return the attributes of a column."""
     if role in ("time", "arrives"):
         date = None if table.epoch is None else written_date(table.epoch.astimezone(UTC), 0.0)
-        said = {"units": "s"} if date is None else {"units": f"seconds since {date}", "calendar": "standard"}
+        dated = {"calendar": "standard", "units_metadata": "leap_seconds: none"}
+        said = {"units": "s"} if date is None else {"units": f"seconds since {date}", **dated}
         name = "time" if role == "time" else "time at which the reading became known"
         return said | {"long_name": name} | ({"standard_name": "time", "axis": "T"} if date and role == "time" else {})
     named = {"standard_name": STANDARD_NAMES[role]} if role in STANDARD_NAMES else {}
