@@ -131,6 +131,8 @@ case ${1:-} in
         ruff check
         ruff format --check
         mypy
+        # Containers often forbid bytecode; then each of the many processes would compile the tests and what they import.
+        unset PYTHONDONTWRITEBYTECODE
         exec pytest -q -n 2 --dist worksteal "$@" ;;
     *) exec "$@" ;;
 esac

@@ -10,6 +10,11 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 os.environ.setdefault("HDF5_USE_FILE_LOCKING", "FALSE")
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add what tests/plugins/test_combinations.py asks for."""
+    parser.addoption("--all-combinations", action="store_true", help="run every combination of parts that can be run")
+
+
 @pytest.fixture(scope="session")
 def browser():
     """Return a Chromium for all tests of pages; where there is none they are skipped."""

@@ -1,8 +1,9 @@
 """A Python process that has imported the libraries, and forks itself for each command.
 
 Half of what a short ``dafw`` command takes is the import of libraries. So the pages of the documentation, with some two
-hundred commands, are tried with copies of a process that has done this once. dafw itself is imported by each copy, as
-is everything that starts threads or MPI, which a fork would not survive.
+hundred commands, are tried with copies of a process that has done this once. It also has dafw's own modules, but has
+not looked for plugins: those may be installed meanwhile. What starts threads or MPI, which a fork would not survive, is
+imported by each copy.
 
     PYTHON prepared.py FOLDER    serve; FOLDER gets ``dafw`` and ``python``, which send a command and wait for its end
 
@@ -23,6 +24,7 @@ import site
 import socket
 import sys
 import sysconfig
+import threading
 from pathlib import Path
 
 LIBRARIES = (
@@ -41,6 +43,13 @@ LIBRARIES = (
     "pyproj",
     "matplotlib.pyplot",
     "matplotlib.tri",
+    "ufl",
+    "ffcx",
+    "filelock",
+    "tqdm",
+    "dafw.commands.run",
+    "dafw.studies.running",
+    "dafw.views",
 )
 
 CLIENT = """#!{python} -IS
@@ -120,6 +129,10 @@ def main() -> None:
     folder, programs = Path(sys.argv[1]), Path(sys.executable).parent
     for library in LIBRARIES:
         importlib.import_module(library)
+    for spec in importlib.import_module("dafw.plugins").dafw_plugins():
+        importlib.import_module(spec.target.partition(":")[0])
+    unsafe = {"dolfinx", "mpi4py.MPI", "petsc4py.PETSc"} & sys.modules.keys()
+    assert not unsafe and threading.active_count() == 1, f"a fork would not survive {unsafe or 'threads'}"
     sys.modules["numba"].njit(lambda number: number)(1)  # numba prepares itself when it compiles for the first time
     gc.freeze()  # else each copy would go through all objects of the libraries when it ends
     address = folder / "socket"

@@ -44,11 +44,15 @@ REDUCED = {
     ),
     r"^(dafw plot .*)--times 30,60": (r"\1--times 0,1", "the run has one cycle"),
     r"executor\.workers=4": ("executor.workers=2", "CI has two cores"),
-    r"hydra\.launcher\.n_jobs=4": ("hydra.launcher.n_jobs=2", "CI has two cores"),
+    r"^dafw run -m (?=hydra/launcher=cores hydra\.launcher\.n_jobs=4)": (
+        "dafw run --cfg job ",
+        "composed and shown: the command before it is the same with as many jobs as there are cores",
+    ),
     r"^taskset -c \d+ ": ("", "a machine may have one core, or no taskset"),
     r"^dafw run -m (?=.*launcher=slurm)": ("dafw run --cfg all ", "no SLURM here: composed and shown"),
-    r"(?<=--cfg all)(.*)'seed=range.*'$": (r"\1", "what is only shown has no sweep"),
+    r"(?<=--cfg (?:all|job))(.*)'seed=range.*'$": (r"\1", "what is only shown has no sweep"),
     r"^dafw run (?=.*executor\.address=)": ("dafw run --cfg job ", "no scheduler there: composed and shown"),
+    r"policy\.theta=0\.0,0\.2,0\.3": ("policy.theta=0.0,0.2", "two values instead of three"),
     r"'seed=range\((\d+,)?\d{2,}\)'": ("seed=0,1", "two seeds instead of ten and more"),
     r"^dafw check --all$": ("dafw check enkf", "tests/authoring/test_built_in.py checks every plugin"),
     r"^dafw study tiny$": (
@@ -98,7 +102,10 @@ REDUCED = {
         r"dafw study tiny cycles=5 --seeds 0-1 --configurations 'etkf*'",
         "the folder has runs of five cycles",
     ),
-    r"^dafw study (?!tiny cycles=5 --seeds 0-1$)(?!--list).*": (r"\g<0> --no-pictures", "the first study draws them"),
+    r"^dafw study (?!tiny cycles=5 --seeds 0-1$)(?!--list).*": (
+        r"\g<0> --no-pictures --workers 1",
+        "the first study draws them, and has two workers",
+    ),
     r"^dafw run.* model\.wind\.solver=reduced.*$": (rf"\g<0> {BASIS}", "a basis of four winds"),
     r"^dafw run(?!.*--cfg)(?!.*experiment=)(?!.*~experiment)(?!.*solver=reduced).*$": (
         rf"\g<0> {BASIS}",

@@ -22,7 +22,8 @@ from pathlib import PurePosixPath
 from typing import Any
 
 from hydra._internal.config_loader_impl import ConfigLoaderImpl
-from hydra._internal.config_repository import CachingConfigRepository, IConfigRepository
+from hydra._internal.config_repository import CachingConfigRepository, ConfigRepository, IConfigRepository
+from hydra.core.config_search_path import ConfigSearchPath
 from hydra.core.default_element import GroupDefault, InputDefault, ResultDefault
 from hydra.core.override_parser.types import ChoiceSweep, Override, OverrideType, ValueType
 from hydra.plugins.config_source import ConfigResult
@@ -34,15 +35,39 @@ from dafw.core.registry import KINDS
 ROLES = ("truth", "free")
 """Keys of a study that hold options of a model beside the study's own."""
 
+KEPT = 100
+"""How many compositions are kept, of about a megabyte each; a multirun may have thousands of jobs."""
+
+
+class _Sources(ConfigRepository):
+    """Where configurations are looked up. A copy shares the sources, which nobody changes; its list is its own.
+
+    Hydra makes a copy for each composition. To copy the options of all plugins with it would take a fifth of the time.
+    """
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> _Sources:
+        one = copy.copy(self)
+        one.sources = list(self.sources)
+        return one
+
 
 class StudyLoader(ConfigLoaderImpl):
     """Composes a study. Hydra calls it for everything it does: a run, the jobs of a multirun, ``--cfg``."""
 
-    _last: tuple[object, DictConfig] | None = None
+    _made: dict[object, DictConfig]
     _multirun = False
     _appended: Container[str] = ()
     _named_roles: Mapping[str, str]
     _foreign: Mapping[str, set[str]]
+
+    def __init__(self, config_search_path: ConfigSearchPath) -> None:
+        super().__init__(config_search_path)
+        self.repository = _Sources(config_search_path)
+        self._made = {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave what is kept: launchers send the loader with each job to the process that runs it."""
+        return {**vars(self), "_made": {}}
 
     def load_configuration(
         self,
@@ -54,15 +79,19 @@ class StudyLoader(ConfigLoaderImpl):
     ) -> DictConfig:
         """Compose a configuration; raises Hydra's and OmegaConf's exceptions.
 
-        The same request as the last one is not composed again: ``dafw run`` checks a study, then Hydra runs it.
+        The same request is not composed again: ``dafw run`` checks a study, then Hydra runs it; a multirun asks for all
+        jobs before the first, then for each. Kept are the first ``KEPT`` and the last.
         """
         asked = (config_name, tuple(overrides), run_mode, validate_sweep_overrides)
-        if self._last is None or self._last[0] != asked:
+        if asked not in self._made:
             one = copy.copy(self)  # state found while composing must not leak into the next composition
             one._multirun = run_mode == RunMode.MULTIRUN
             arguments = (config_name, overrides, run_mode, from_shell, validate_sweep_overrides)
-            self._last = asked, super(StudyLoader, one).load_configuration(*arguments)
-        return copy.deepcopy(self._last[1])
+            composed = super(StudyLoader, one).load_configuration(*arguments)
+            if len(self._made) > KEPT:
+                self._made.popitem()
+            self._made[asked] = composed
+        return copy.deepcopy(self._made[asked])
 
     def _parse_overrides_and_create_caching_repo(
         self, config_name: str | None, overrides: list[str]

@@ -20,7 +20,7 @@ import types
 import typing
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass, make_dataclass
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 from dafw.core.errors import ConfigurationError, OptionError
@@ -82,12 +82,18 @@ class Described:
         }
 
 
-def _option_fields(cls: type) -> list[tuple[dataclasses.Field[Any], Any]]:
+def _option_fields(cls: type) -> tuple[tuple[dataclasses.Field[Any], Any], ...]:
     """The option fields of a dataclass with their resolved types."""
     if not is_dataclass(cls) or ("__dataclass_fields__" not in vars(cls) and vars(cls).get("__annotations__")):
         raise OptionError(f"{cls.__module__}.{cls.__qualname__} is not a dataclass: decorate it with @dataclass")
+    return _resolved(cls)
+
+
+@cache
+def _resolved(cls: type) -> tuple[tuple[dataclasses.Field[Any], Any], ...]:
+    """Evaluate the text of types: that takes a millisecond a class, and a study asks some forty times."""
     hints = typing.get_type_hints(cls)
-    return [(f, hints[f.name]) for f in fields(cls) if f.init]
+    return tuple((f, hints[f.name]) for f in fields(cls) if f.init)
 
 
 def _is_group(hint: Any) -> bool:

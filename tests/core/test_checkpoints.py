@@ -318,3 +318,16 @@ def test_what_must_be_the_same_is_described(begun):
     changed = replace(state, belief=state.belief.with_members(bumped))
     pairs = zip(start_digest(state).split(), start_digest(changed).split(), strict=True)
     assert [one == other for one, other in pairs] == [False, True, True]
+
+
+@pytest.mark.parametrize(
+    ("before", "now", "words"),
+    [
+        ({"filter": {"a": 1}}, {"filter": {"a": 1, "b": None}}, "no filter.b, now it is null"),
+        ({"filter": {"a": 1, "b": None}}, {"filter": {"a": 1}}, "filter.b = null, which is no option now"),
+        ({"filter": {"a": [1]}}, {"filter": {"a": None}}, "filter.a = [1], now it is null"),
+        ({"filter": None}, {"filter": {"a": 1}}, 'filter = null, now it is {"a": 1}'),
+    ],
+)
+def test_a_difference_tells_an_option_without_a_value_from_none_at_all(before, now, words):
+    assert difference(before, now) == words

@@ -144,20 +144,19 @@ def test_the_command_follows_a_real_run_to_its_end_and_closes_on_an_interrupt(br
     told = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     # Shells start what they put into the background with Ctrl-C ignored; it must end the command all the same.
     in_background = ["sh", "-c", 'trap "" INT; exec "$@"', "sh"]
-    with (
-        ended(subprocess.Popen([*in_background, *dafw, "watch", str(folder)], **told)) as watching,
-        ended(subprocess.Popen([*dafw, "run", *words], **quiet)) as running,
-    ):
-        address = watching.stdout.readline().strip()
-        assert re.fullmatch(r"http://127\.0\.0\.1:\d+/", address)
-        page = open_page(browser, address)
-        expect(page.find("#subtitle")).to_contain_text("complete", timeout=1000.0 * PATIENCE)
-        expect(page.find("#now")).to_contain_text("of 20 s")  # a page that is opened after the end begins at the start
-        assert running.wait(PATIENCE) == 0 and page.complaints == []
+    with ended(subprocess.Popen([*in_background, *dafw, "watch", str(folder)], **told)) as watching:
+        assert watching.stderr.readline() == f"dafw: waiting for a run in {folder}\n"
+        with ended(subprocess.Popen([*dafw, "run", *words], **quiet)) as running:
+            address = watching.stdout.readline().strip()
+            assert re.fullmatch(r"http://127\.0\.0\.1:\d+/", address)
+            page = open_page(browser, address)
+            expect(page.find("#subtitle")).to_contain_text("complete", timeout=1000.0 * PATIENCE)
+            expect(page.find("#now")).to_contain_text("of 20 s")  # opened after the end, a page begins at the start
+            assert running.wait(PATIENCE) == 0 and page.complaints == []
         page.tab.context.close()
         watching.send_signal(signal.SIGINT)
         out, err = watching.communicate(timeout=PATIENCE)
-        assert (watching.returncode, out) == (0, "") and err == f"dafw: waiting for a run in {folder}\n"
+        assert (watching.returncode, out, err) == (0, "", "")
 
 
 def test_a_folder_that_is_not_there_is_refused(tmp_path, capsys):

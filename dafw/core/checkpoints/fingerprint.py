@@ -43,11 +43,16 @@ def digest(configuration: Mapping[str, Any]) -> str:
 
 
 def difference(before: Any, now: Any, path: str = "") -> str:
-    """Return the first entry in which two configurations differ, in words."""
+    """Return the first entry in which two configurations differ, in words that follow "had"."""
     if isinstance(before, dict) and isinstance(now, dict):
         for key in dict.fromkeys([*before, *now]):
-            if key not in before or key not in now or before[key] != now[key]:
-                return difference(before.get(key), now.get(key), f"{path}.{key}".removeprefix("."))
+            inner = f"{path}.{key}".removeprefix(".")
+            if key not in now:
+                return f"{inner} = {json.dumps(before[key])}, which is no option now"
+            if key not in before:
+                return f"no {inner}, now it is {json.dumps(now[key])}"
+            if before[key] != now[key]:
+                return difference(before[key], now[key], inner)
     return f"{path} = {json.dumps(before)}, now it is {json.dumps(now)}"
 
 

@@ -26,8 +26,10 @@ def read_nodes(
     is None, the variance of the noise.
     """
     nearest = space[variable].nearest(points).tolist() if len(points) else []
-    first = dict(zip(reversed(nearest), reversed(sensors), strict=True))
-    nodes = np.array(list(dict.fromkeys(nearest)), dtype=np.int64)
+    first: dict[int, str] = {}
+    for node, sensor in zip(nearest, sensors, strict=True):
+        first.setdefault(node, sensor)
+    nodes = np.array(list(first), dtype=np.int64)
     coordinates = space[variable].coordinates
     variance = noise_sd**2 if assumed_variance is None else assumed_variance
     return Selection(
@@ -35,5 +37,5 @@ def read_nodes(
         covariance=np.full(len(nodes), variance),
         noise_covariance=np.full(len(nodes), noise_sd**2),
         coordinates=np.empty((0, 2)) if coordinates is None or not len(nodes) else coordinates[nodes],
-        sensors=tuple(first[node] for node in nodes.tolist()),
+        sensors=tuple(first.values()),
     )

@@ -13,10 +13,9 @@ imported where it is first used.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import accumulate
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,36 +23,31 @@ import numpy as np
 from dafw.core.domain import Domain
 from dafw.core.ensemble import Diagnostics, Memory, Step
 from dafw.core.errors import ConfigurationError
-from dafw.core.interfaces import Model
 from dafw.core.options import option
 from dafw.core.rng import MemberStreams
-from dafw.core.sharing import Shared
 from dafw.core.space import NONNEGATIVE, Array, StateSpace, Variable
-from dafw.plugins.models.dispersion.mesh.options import MeshOptions
 from dafw.plugins.models.dispersion.mesh.partition import Partition, Undivided
-from dafw.plugins.models.dispersion.mesh.tagged import TaggedMesh
+from dafw.plugins.models.dispersion.on_mesh import OnMesh
 from dafw.plugins.models.dispersion.plausible import largest_concentration
-from dafw.plugins.models.dispersion.site.options import SiteOptions
 from dafw.plugins.models.dispersion.sources import SourceOptions, largest_scale, released, sources, supply
 from dafw.plugins.models.dispersion.transport.kept import KeptSystems
 from dafw.plugins.models.dispersion.transport.options import TransportOptions, require_one_process
-from dafw.plugins.models.dispersion.unknowns import unknowns
+from dafw.plugins.models.dispersion.unknowns import Possible, unknowns
 from dafw.plugins.models.dispersion.wind_change import WindChange, WindChangeOptions
 
 if TYPE_CHECKING:
-    from dafw.plugins.models.dispersion.site.site import Site
     from dafw.plugins.models.dispersion.transport.transport import System, Transport
 
+MAX_DRAWS = 1000
+"""Draws from the priors for one member of the first guess; where fewer than 1 % are possible, something is wrong."""
 BLOCK_BYTES = 2**23
 """About how much memory, in bytes, the states of the steps that are made at once may take."""
 
 
 @dataclass
-class AdvectionDiffusion(Model):
+class AdvectionDiffusion(OnMesh):
     """Gas dispersion in a given uniform wind, over open ground: buildings stop vehicles, not the gas."""
 
-    site: SiteOptions = option(SiteOptions, "the site")
-    mesh: MeshOptions = option(MeshOptions, "the mesh")
     transport: TransportOptions = option(TransportOptions, "the transport of the gas")
     dt: float = option(1.0, "time step in seconds", above=0.0)
     release: list[float] = option([0.0, 0.0], "place of the (first) release, [x, y] in metres")
@@ -74,14 +68,12 @@ class AdvectionDiffusion(Model):
     estimate: list[str] = option(
         [],
         "more unknowns, which become part of the state: diffusion, release_x, release_y; for a burst amount; for a "
-        "leak rate, leak_start; for a second source release_2_x, rate_2, ...",
+        "leak rate, leak_start; for a second source release_2_x, rate_2, ...; ad_ins has viscosity, too",
     )
     priors: dict[str, Any] = option({}, "priors of unknowns by name, instead of the default priors")
     certain: bool = option(False, "every unknown has the value of its option; for the truth and the free run")
 
     _systems: KeptSystems[Any] = field(default_factory=KeptSystems, init=False, repr=False)
-    _shared: Shared = field(default_factory=Shared, init=False, repr=False, compare=False)
-    _communicator: Any = field(default=None, init=False, repr=False)
 
     @property
     def expected_failures(self) -> Mapping[str, str]:  # type: ignore[override]  # it depends on the options
@@ -103,23 +95,11 @@ class AdvectionDiffusion(Model):
             raise ConfigurationError(f"the release must be one place [x, y] in metres, got {self.release}")
         self._sources = sources(self.release, self.release_radius, self.source)
         self._wind_change = WindChange(self.wind_change)
-        self._unknown = unknowns(self)
+        self._unknown = unknowns(self, self.own_unknowns())
 
-    @cached_property
-    def place(self) -> Site:
-        """The site; raises SiteError."""
-        from dafw.plugins.models.dispersion.site.site import load_site
-
-        return self._shared.once(("site", repr(self.site)), lambda: load_site(self.site))
-
-    @cached_property
-    def ground(self) -> Site:
-        """The site of the mesh: without buildings, since with a wind through walls the transport would be ill-posed."""
-        return replace(self.place, buildings=(), names=(), types=())
-
-    def share_with(self, shared: Shared) -> None:
-        """Use ``shared`` for the site, the mesh and what is computed from them."""
-        self._shared = shared
+    def own_unknowns(self) -> Mapping[str, Possible]:
+        """Return what can be estimated of this model beside what all have, by name."""
+        return {}
 
     def distribute(self, communicator: Any) -> None:
         """Divide the mesh among the ranks of an MPI communicator; every rank still has the full state.
@@ -133,30 +113,6 @@ class AdvectionDiffusion(Model):
         self._communicator = communicator
 
     @cached_property
-    def _mesh_file(self) -> Path:
-        from dafw.plugins.models.dispersion.mesh.generate import generate
-
-        return generate(self.ground, self.mesh)
-
-    @cached_property
-    def tagged_mesh(self) -> TaggedMesh:
-        """The mesh of ``ground``, as one process holds it."""
-        from dafw.plugins.models.dispersion.mesh.load import load
-
-        file = self._mesh_file
-        return self._shared.once(("mesh", file), lambda: load(file))
-
-    @cached_property
-    def solver_mesh(self) -> TaggedMesh:
-        """The mesh that the solvers work on: ``tagged_mesh``, or the same mesh divided among the ranks."""
-        from dafw.plugins.models.dispersion.mesh.load import load
-
-        file, communicator = self._mesh_file, self._communicator
-        if communicator is None:
-            return self.tagged_mesh
-        return self._shared.once(("divided mesh", file, communicator.handle), lambda: load(file, communicator))
-
-    @cached_property
     def _nodes(self) -> Partition | Undivided:
         """The step between the nodes of the state and those of the transport on this rank."""
         from dafw.plugins.models.dispersion.fem.numbering import nearest
@@ -165,14 +121,6 @@ class AdvectionDiffusion(Model):
         if self._communicator is None:
             return Undivided(len(nodes))
         return Partition(nearest(nodes, self._transport.matrices.places), self._communicator)
-
-    @cached_property
-    def _topology(self) -> tuple[Array, Any]:
-        """The nodes (nodes, 2) in m and the triangles (faces, 3)."""
-        from dafw.plugins.models.dispersion.mesh.load import topology
-
-        mesh = self.tagged_mesh
-        return self._shared.once(("topology", mesh), lambda: topology(mesh))
 
     @cached_property
     def space(self) -> StateSpace:  # type: ignore[override]  # made when first asked for
@@ -217,15 +165,24 @@ class AdvectionDiffusion(Model):
         nothing = np.zeros(self.space["concentration"].size)
 
         def one(generator: np.random.Generator) -> Array:
-            drawn = {one.name: one.prior.draw(generator) for one in self._unknown}
-            return self.space.pack({"concentration": nothing, **drawn})
+            for _ in range(MAX_DRAWS):
+                drawn = {one.name: one.prior.draw(generator) for one in self._unknown}
+                member = self.space.pack({"concentration": nothing, **drawn})
+                if self.possible(member[np.newaxis]).all():
+                    return member
+            raise ConfigurationError(f"{self.label}: of {MAX_DRAWS} draws of the first guess none is possible")
 
         return self.settled(rng.draw(n_members, one))
 
     def log_first_guess(self, members: Array) -> Array:
-        """Return the log density (N,) of the priors at the unknowns of members (N, n)."""
+        """Return the log density (N,) of the priors at the unknowns of members (N, n); -inf if not possible."""
         state = self.space.unpack(members)
-        return np.sum([one.prior.log_density(state[one.name][:, 0]) for one in self._unknown], axis=0)
+        density = np.sum([one.prior.log_density(state[one.name][:, 0]) for one in self._unknown], axis=0)
+        return np.where(self.possible(members), density, -np.inf)
+
+    def possible(self, members: Array) -> np.ndarray:
+        """Return for which members (N, n) the model has a step (N,), bool: what the prior of one number cannot say."""
+        return np.ones(len(members), dtype=bool)
 
     def settled(self, members: Array) -> Array:
         """Return the members (N, n) with the gas that the bursts of their releases leave at t = 0."""
@@ -262,7 +219,7 @@ class AdvectionDiffusion(Model):
         for state, time in zip(states, times, strict=True):
             speed, direction = first["wind_speed"][:, 0], first["wind_direction"][:, 0]
             speed, direction = self._wind_change.wind(time + 0.5 * self.dt, speed, direction, first)
-            found, memory, diagnostics = self.winds(speed, direction, memory, time)
+            found, memory, diagnostics = self.winds(speed, direction, first, memory, time)
             winds.append(found)
             supplied = supply(self._sources, self._topology[0], first, time, self.dt)
             rates.append(None if supplied is None else np.broadcast_to(supplied, first["concentration"].shape))
@@ -281,13 +238,14 @@ class AdvectionDiffusion(Model):
         ]
 
     def winds(
-        self, speed: Array, direction: Array, memory: Memory | None, t: float
+        self, speed: Array, direction: Array, state: Mapping[str, Array], memory: Memory | None, t: float
     ) -> tuple[Array, Memory | None, Diagnostics]:
         """Return the winds (N, k) of the members, in numbers that define them, with new memory and diagnostics.
 
         Args:
             speed: (N,) wind speed of every member in m/s.
             direction: (N,) towards which the air moves, in radians.
+            state: the variables of the members by name, (N, size) each, for what else a wind depends on.
             memory: that of the members.
             t: time in s.
         """

@@ -5,9 +5,12 @@ than the thresholds of Algorithm 1, Gioia et al. (2024), doi:10.1109/SDF63218.20
 
     |I - I_INS| >= tr_I |I|   or   |d - d_INS| >= tr_d |d|         differences of directions wrapped to [-pi, pi)
 
-Otherwise the wind of the last solve carries the gas. A solve starts from the member's last wind. That wind is in the
-memory of the run, so results do not depend on what else ran in the process. A wind that changes in time
-(``wind_change``) is solved in every step.
+A viscosity that is estimated has the threshold of the speed. Otherwise the wind of the last solve carries the gas. A
+solve starts from the member's last wind. That wind is in the memory of the run, so results do not depend on what else
+ran in the process. A wind that changes in time (``wind_change``) is solved in every step.
+
+The viscosity can be estimated, too. A wind depends on its direction and on the ratio of speed and viscosity alone, so
+the reduced basis serves as it is.
 
 Like model.py this module must be light.
 """
@@ -24,11 +27,17 @@ import numpy as np
 from dafw.core.ensemble import Diagnostic, Diagnostics, Memory
 from dafw.core.errors import ConfigurationError, SolverError, about_member
 from dafw.core.options import option
-from dafw.core.space import Array
+from dafw.core.space import POSITIVE, Array
 from dafw.core.workers import spare_cores
 from dafw.plugins.models.dispersion.mesh.partition import Partition, Undivided
 from dafw.plugins.models.dispersion.model import AdvectionDiffusion
-from dafw.plugins.models.dispersion.wind.options import WindOptions, require_one_process, require_uniform
+from dafw.plugins.models.dispersion.unknowns import Possible, about
+from dafw.plugins.models.dispersion.wind.options import (
+    WindOptions,
+    require_constant,
+    require_one_process,
+    require_uniform,
+)
 
 if TYPE_CHECKING:
     from dafw.plugins.models.dispersion.reduced_wind.advection import ReducedAdvection
@@ -43,7 +52,9 @@ class AdvectionDiffusionINS(AdvectionDiffusion):
 
     wind: WindOptions = option(WindOptions, "the wind and its solver")
     speed_threshold: float = option(
-        0.10, "tr_I: a wind is solved anew if its speed changes by this fraction or more", minimum=0
+        0.10,
+        "tr_I: a wind is solved anew if its speed, or an estimated viscosity, changes by this fraction or more",
+        minimum=0,
     )
     direction_threshold: float = option(0.05, "tr_d: the same for its direction in radians", minimum=0)
     on_unsolved: str = option(
@@ -53,6 +64,30 @@ class AdvectionDiffusionINS(AdvectionDiffusion):
     def __post_init__(self) -> None:
         super().__post_init__()
         require_uniform(self.wind)
+        if "viscosity" in self.estimate:
+            require_constant(self.wind)
+
+    def own_unknowns(self) -> Mapping[str, Possible]:
+        """Return the viscosity, which changes how the wind flows around buildings."""
+        return {"viscosity": Possible(POSITIVE, "m2 s-1", self.wind.viscosity, lambda nu: about("lognormal", nu, 0.5))}
+
+    @property
+    def _largest_reynolds(self) -> float:
+        """The largest unit Reynolds number, 1/m, that the first guess has if the viscosity is estimated.
+
+        It is that of the strongest wind of the reduced basis: beyond it every wind would be solved in full, and some
+        have no steady solution.
+        """
+        if self.wind.solver == "newton" or "viscosity" not in self.estimate or self.certain:
+            return np.inf
+        return self.wind.basis.max_intensity / self.wind.viscosity
+
+    def possible(self, members: Array) -> np.ndarray:
+        """Return for which members (N, n) the model has a wind (N,), bool."""
+        if not np.isfinite(self._largest_reynolds):
+            return super().possible(members)
+        state = self.space.unpack(members)
+        return np.asarray(state["wind_speed"][:, 0] <= self._largest_reynolds * state["viscosity"][:, 0])
 
     @cached_property
     def ground(self) -> Site:
@@ -105,9 +140,10 @@ class AdvectionDiffusionINS(AdvectionDiffusion):
         """Return the memory of members (N, n) for which no wind was solved yet: their last parameters are NaN."""
         n_members = len(members)
         never = np.full(n_members, np.nan)
-        return {"unit": np.zeros((n_members, self._unit.size)), "speed": never, "direction": never}
+        numbers = ("speed", "direction", *(["viscosity"] if "viscosity" in self.estimate else []))
+        return {"unit": np.zeros((n_members, self._unit.size)), **dict.fromkeys(numbers, never)}
 
-    def due(self, speed: Array, direction: Array, memory: Memory) -> np.ndarray:
+    def due(self, speed: Array, direction: Array, memory: Memory, viscosity: Array | None = None) -> np.ndarray:
         """Return for which members the wind must be solved again (N,), bool.
 
         A wind that changes in time is solved whenever it differs, without thresholds: otherwise it would change in
@@ -117,18 +153,22 @@ class AdvectionDiffusionINS(AdvectionDiffusion):
             speed: (N,) wind speed in m/s.
             direction: (N,) towards which the air moves, in radians.
             memory: has the parameters of the last solves.
+            viscosity: (N,) in m^2/s; None: it is not estimated.
         """
         if self._wind_change.changes:
-            return (speed != memory["speed"]) | (direction != memory["direction"])
+            changes = (speed != memory["speed"]) | (direction != memory["direction"])
+            return changes if viscosity is None else changes | (viscosity != memory["viscosity"])
         turned = np.abs(np.mod(direction - memory["direction"] + np.pi, 2.0 * np.pi) - np.pi)
         changed = np.abs(speed - memory["speed"])
         within = (changed < self.speed_threshold * np.abs(speed)) & (
             turned < self.direction_threshold * np.abs(direction)
         )
+        if viscosity is not None:
+            within &= np.abs(viscosity - memory["viscosity"]) < self.speed_threshold * viscosity
         return ~within
 
     def winds(
-        self, speed: Array, direction: Array, memory: Memory | None, t: float
+        self, speed: Array, direction: Array, state: Mapping[str, Array], memory: Memory | None, t: float
     ) -> tuple[Array, Memory | None, Diagnostics]:
         """Solve the winds that are due; a row of the result is a unit wind and its intensity in m/s.
 
@@ -138,17 +178,20 @@ class AdvectionDiffusionINS(AdvectionDiffusion):
         if memory is None:
             raise SolverError(f"{self.label}: a step needs the memory that initial_memory or the last step gave")
         memory = {name: array.copy() for name, array in memory.items()}
-        solved = self.due(speed, direction, memory)
+        viscosity = state["viscosity"][:, 0] if "viscosity" in state else None
+        solved = self.due(speed, direction, memory, viscosity)
         kept = np.zeros(len(speed), dtype=bool)
         iterations = np.zeros(len(speed), dtype=np.int64)
         due = np.flatnonzero(solved).tolist()
-        self.solver.solve_ahead([(float(speed[member]), float(direction[member])) for member in due], spare_cores())
+        viscosities = [None if viscosity is None else float(viscosity[member]) for member in range(len(speed))]
+        reynolds = [self.solver.reynolds(float(speed[member]), viscosities[member]) for member in due]
+        self.solver.solve_ahead(list(zip(reynolds, direction[due].tolist(), strict=True)), spare_cores())
         for member in due:
             first = np.isnan(memory["speed"][member])
             start = None if first else self._unit.local(memory["unit"][member])
             try:
                 with about_member(member):
-                    wind = self.solver.solve(speed[member], direction[member], start)
+                    wind = self.solver.solve(speed[member], direction[member], start, viscosities[member])
             except SolverError:
                 if self.on_unsolved == "stop" or first:
                     raise
@@ -157,6 +200,8 @@ class AdvectionDiffusionINS(AdvectionDiffusion):
             iterations[member] = wind.iterations
             memory["unit"][member] = self._unit.gather(wind.unit)
             memory["speed"][member], memory["direction"][member] = speed[member], direction[member]
+            if viscosity is not None:
+                memory["viscosity"][member] = viscosity[member]
         diagnostics = {
             "wind_solved": Diagnostic(solved, ("member",), long_name="the wind was solved anew in this cycle"),
             "wind_kept": Diagnostic(kept, ("member",), long_name="the wind could not be solved, the last one was kept"),

@@ -7,7 +7,7 @@ is not estimated stays fixed at its value, which may be wrong.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
@@ -31,6 +31,16 @@ class Unknown:
     plausible: float = float("inf")
 
 
+@dataclass(frozen=True)
+class Possible:
+    """What can be estimated: its kind, units, value in the options, and what makes its default prior from that."""
+
+    kind: Kind
+    units: str
+    value: float
+    prior: Callable[[float], Prior]
+
+
 class Guess(Protocol):
     """What the first guess is made from: the options of a dispersion model."""
 
@@ -49,30 +59,27 @@ class Guess(Protocol):
     certain: bool
 
 
-def _about(name: str, mean: float, sd: float) -> Prior:
+def about(name: str, mean: float, sd: float) -> Prior:
+    """Return the prior ``name`` with a mean and a standard deviation; with an sd of 0 the number is known."""
     return Prior(name, {"mean": mean, "sd": sd}) if sd > 0.0 else Prior("point", {"mean": mean})
 
 
-def _others(guess: Guess) -> dict[str, tuple[Kind, str, float, Callable[[float], Prior]]]:
-    """Return what can be estimated besides the wind, in the order of the state.
-
-    Each has its kind, units, the value of the options, and what makes its prior from that where a study gives none.
-    """
+def _others(guess: Guess) -> dict[str, Possible]:
+    """Return what can be estimated of every model besides the wind, in the order of the state."""
     radius = guess.release_radius
     usual: dict[str, tuple[Kind, str, Callable[[float], Prior]]] = {
-        "release_x": (FIELD, "m", lambda x: _about("normal", x, radius)),
-        "release_y": (FIELD, "m", lambda y: _about("normal", y, radius)),
-        "amount": (POSITIVE, "1", lambda amount: _about("lognormal", amount, 0.5)),
-        "rate": (POSITIVE, "s-1", lambda rate: _about("lognormal", rate, 1.0)),
+        "release_x": (FIELD, "m", lambda x: about("normal", x, radius)),
+        "release_y": (FIELD, "m", lambda y: about("normal", y, radius)),
+        "amount": (POSITIVE, "1", lambda amount: about("lognormal", amount, 0.5)),
+        "rate": (POSITIVE, "s-1", lambda rate: about("lognormal", rate, 1.0)),
         "leak_start": (FIELD, "s", lambda start: Prior("uniform", {"low": 0.0, "high": max(60.0, 2.0 * start)})),
     }
-    listed = {
-        "diffusion": (POSITIVE, "m2 s-1", guess.transport.diffusion, lambda value: _about("lognormal", value, 1.0))
-    }
+    diffusion = guess.transport.diffusion
+    listed = {"diffusion": Possible(POSITIVE, "m2 s-1", diffusion, lambda value: about("lognormal", value, 1.0))}
     for source in sources(guess.release, guess.release_radius, guess.source):
         for quantity, name in source.names.items():
             kind, units, prior = usual[quantity]
-            listed[name] = (kind, units, source.values[quantity], prior)
+            listed[name] = Possible(kind, units, source.values[quantity], prior)
     return listed
 
 
@@ -87,20 +94,23 @@ def _require_known(guess: Guess, accepted: Sequence[str]) -> None:
         raise ConfigurationError(f"estimate: a name stands twice in {guess.estimate}")
 
 
-def unknowns(guess: Guess) -> list[Unknown]:
-    """Return the numbers of the state in their order; raises ConfigurationError for names and priors there are not."""
+def unknowns(guess: Guess, own: Mapping[str, Possible]) -> list[Unknown]:
+    """Return the numbers of the state in their order; ``own`` are those that only this model can estimate.
+
+    Raises ConfigurationError for names and priors there are not.
+    """
     mean, sd = guess.wind_speed, guess.wind_speed_sd
     if sd > 0.0 and not 1e-3 * mean <= sd <= 1e3 * mean:
         raise ConfigurationError(
             f"wind_speed_sd must be 0 or between a thousandth of wind_speed and a thousand times it (a Weibull "
             f"distribution has that mean), got {sd:g} with a mean of {mean:g} m/s"
         )
-    others = _others(guess)
+    others = {**_others(guess), **own}
     _require_known(guess, list(others))
     if "diffusion" in guess.estimate and guess.transport.scheme == "supg":
         raise ConfigurationError("estimate: the scheme 'supg' is made for one diffusion; choose another scheme")
     direction, change = guess.wind_direction, WindChange(guess.wind_change)
-    speed, most = _about("weibull", mean, sd), guess.wind_speed_max
+    speed, most = about("weibull", mean, sd), guess.wind_speed_max
     if most is not None:
         if most <= mean:
             raise ConfigurationError(f"wind_speed_max must be above wind_speed, {mean:g} m/s, got {most:g}")
@@ -108,20 +118,20 @@ def unknowns(guess: Guess) -> list[Unknown]:
             speed = Prior("weibull", {"mean": mean, "sd": sd, "high": most})
     found = [
         Unknown("wind_speed", NONNEGATIVE, "m s-1", mean, speed, strongest_wind(mean, sd)),
-        Unknown("wind_direction", ANGLE, "rad", direction, _about("angle", direction, guess.wind_direction_sd)),
+        Unknown("wind_direction", ANGLE, "rad", direction, about("angle", direction, guess.wind_direction_sd)),
     ]
-    for name, (kind, units, value, prior) in others.items():
+    for name, one in others.items():
         if name in guess.estimate:
-            found.append(Unknown(name, kind, units, value, prior(value)))
+            found.append(Unknown(name, one.kind, one.units, one.value, one.prior(one.value)))
     for names, units, spread in (
         (change.speed_names, "1", guess.wind_change.speed_sd),
         (change.direction_names, "rad", guess.wind_change.direction_sd),
     ):
-        found += [Unknown(name, FIELD, units, 0.0, _about("normal", 0.0, spread)) for name in names]
+        found += [Unknown(name, FIELD, units, 0.0, about("normal", 0.0, spread)) for name in names]
     names = [one.name for one in found]
     if wrong := [name for name in guess.priors if name not in names]:
         raise ConfigurationError(f"priors: '{wrong[0]}' is not estimated (estimated: {', '.join(names)})")
     if guess.certain:
-        return [replace(one, prior=_about("point", one.value, 0.0)) for one in found]
+        return [replace(one, prior=about("point", one.value, 0.0)) for one in found]
     priors = {name: Prior.of(prior, f"priors: {name}") for name, prior in guess.priors.items()}
     return [replace(one, prior=priors.get(one.name, one.prior)) for one in found]

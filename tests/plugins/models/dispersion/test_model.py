@@ -132,10 +132,10 @@ def test_or_the_last_good_one_is_kept_and_that_is_recorded(small_model, monkeypa
     first = step(model, begin(model))
     solve = model.solver.solve
 
-    def fail_for_one(intensity, direction, start=None):
+    def fail_for_one(intensity, direction, *others):
         if intensity == 9.0:
             raise WindError("no luck")
-        return solve(intensity, direction, start)
+        return solve(intensity, direction, *others)
 
     monkeypatch.setattr(model.solver, "solve", fail_for_one)
     gusty = with_wind(model, first, speed=np.array([9.0, 6.0, 7.0]))

@@ -63,20 +63,19 @@ class AcceleratedWindSolver(WindSolver):
         """The digest of the reduced basis in use."""
         return self._stored.digest
 
-    def _solve(self, intensity: float, direction: float, start: np.ndarray | None) -> WindSolution:
-        reynolds = self.reynolds(intensity)
+    def _solve(self, intensity: float, direction: float, reynolds: float, start: np.ndarray | None) -> WindSolution:
         reduced = self.flow.solve(reynolds, direction)
         if not np.isfinite(reduced.error):
-            return super()._solve(intensity, direction, start)
+            return super()._solve(intensity, direction, reynolds, start)
         fixed, lift = self.boundary.conditions(direction)
         begun = np.where(fixed, lift, self._unknowns_of(reduced))
         if reynolds > STRONGEST:
-            return super()._solve(intensity, direction, begun)
+            return super()._solve(intensity, direction, reynolds, begun)
         scale = self._scale(reynolds, direction)
         found = self._iterate(begun, reynolds, direction, fixed, self.options.tolerance * scale)
         if not found.converged:
-            return super()._solve(intensity, direction, found.unknowns)
-        return WindSolution(found.unknowns, intensity, direction, 0, found.residual / scale)
+            return super()._solve(intensity, direction, reynolds, found.unknowns)
+        return WindSolution(found.unknowns, intensity, direction, reynolds, 0, found.residual / scale)
 
     def _products_of_lifts(self) -> np.ndarray:
         """Return the scalar products (5, 5) from which ``_scale`` computes a norm without a residual.

@@ -1,7 +1,7 @@
 """The wind in the reduced basis, or from the full equations if its estimated error is too large.
 
 A wind travels with a member as a short vector: n coefficients and a mark. If the mark says that the basis is not
-accurate enough, the wind is that of the accelerated solver, which gives the same bits for the same intensity and
+accurate enough, the wind is that of the accelerated solver, which gives the same bits for the same Reynolds number and
 direction in any process. Such full winds are kept in the process to save time. With ``basis.enrich`` they are also
 left on disk for the next basis.
 """
@@ -31,10 +31,11 @@ KEPT = 32
 
 
 class ReducedWindSolver(AcceleratedWindSolver):
-    """Solves in the reduced basis. A result depends only on intensity, direction and the basis; a start is ignored.
+    """Solves in the reduced basis. A result depends only on Reynolds number, direction and basis; a start is ignored.
 
     The ``unit`` (n + 1,) of a solution holds the n coefficients, cos d and sin d first, and then the mark: 1 if the
-    basis is accurate enough, 0 if not. With mark 1 the ``residual`` of a solution is its estimated relative L2 error.
+    basis is accurate enough, otherwise minus the unit Reynolds number, which with d says what the wind is. With mark 1
+    the ``residual`` of a solution is its estimated relative L2 error.
     """
 
     def __init__(self, tagged_mesh: TaggedMesh, options: WindOptions, stored: StoredBasis):
@@ -56,31 +57,34 @@ class ReducedWindSolver(AcceleratedWindSolver):
                 self._ahead = dict(zip(winds, pool.map(self._reduced, winds), strict=True))
 
     def _reduced(self, wind: tuple[float, float]) -> ReducedWind:
-        intensity, direction = wind
+        reynolds, direction = wind
         with np.errstate(over="ignore", invalid="ignore"):  # each thread has its own setting
-            return self.flow.solve(self.reynolds(intensity), direction, self.options.basis.tolerance)
+            return self.flow.solve(reynolds, direction, self.options.basis.tolerance)
 
-    def _solve(self, intensity: float, direction: float, start: np.ndarray | None) -> WindSolution:
-        reduced = self._ahead.get((intensity, direction)) or self._reduced((intensity, direction))
+    def _solve(self, intensity: float, direction: float, reynolds: float, start: np.ndarray | None) -> WindSolution:
+        reduced = self._ahead.get((reynolds, direction)) or self._reduced((reynolds, direction))
         trusted = reduced.error <= self.options.basis.tolerance
         coefficients = reduced.coefficients
         if not trusted:  # those of a failed solve may not be finite; the first two still say the direction
             coefficients = np.zeros(self.unknowns - 1)
             coefficients[:2] = np.cos(direction), np.sin(direction)
-        unit = np.append(coefficients, float(trusted))
+        unit = np.append(coefficients, 1.0 if trusted else -reynolds)
         if trusted:
-            return WindSolution(unit, intensity, direction, 0, reduced.error)
+            return WindSolution(unit, intensity, direction, reynolds, 0, reduced.error)
         found = self._full_wind(unit, intensity)
-        return WindSolution(unit, intensity, direction, found.iterations, found.residual)
+        return WindSolution(unit, intensity, direction, reynolds, found.iterations, found.residual)
 
     def _full_wind(self, unit: np.ndarray, intensity: float) -> WindSolution:
-        """Return the wind from the full equations for a unit wind (n + 1,) of mark 0 and an intensity in m/s."""
-        name = np.append(unit[:2], intensity).tobytes()
+        """Return the wind from the full equations for a unit wind (n + 1,) that the basis does not have.
+
+        The intensity in m/s is named in errors.
+        """
+        name = unit[[0, 1, -1]].tobytes()
         if name not in self._full:
-            direction = float(np.arctan2(unit[1], unit[0]))
-            found = super()._solve(intensity, direction, None)
+            reynolds, direction = -float(unit[-1]), float(np.arctan2(unit[1], unit[0]))
+            found = super()._solve(intensity, direction, reynolds, None)
             if self.options.basis.enrich:
-                self._stored.store.submit(self.reynolds(intensity), direction, self.problem.velocity(found.unit))
+                self._stored.store.submit(reynolds, direction, self.problem.velocity(found.unit))
             self._full[name] = found
             if len(self._full) > KEPT:
                 self._full.popitem(last=False)
@@ -93,7 +97,7 @@ class ReducedWindSolver(AcceleratedWindSolver):
     def velocity(self, wind: WindSolution | np.ndarray, intensity: float | None = None) -> Any:
         """Return the wind in m/s as a new DOLFINx function in the P2 vector space.
 
-        It is solved again from the full equations if its mark is 0 and it is no longer kept.
+        It is solved again from the full equations if its mark is not 1 and it is no longer kept.
 
         Args:
             wind: a solution, or a unit wind (n + 1,).

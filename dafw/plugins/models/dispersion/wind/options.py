@@ -84,6 +84,15 @@ def require_uniform(options: WindOptions) -> None:
         )
 
 
+def require_constant(options: WindOptions) -> None:
+    """Raise ConfigurationError unless the viscosity is the same for all intensities, so that it can be estimated."""
+    if options.closure != "constant":
+        raise ConfigurationError(
+            f"estimate: the viscosity can be estimated with the closure 'constant' only, got '{options.closure}', with "
+            "which all winds have the same pattern"
+        )
+
+
 def require_one_process(options: WindOptions) -> None:
     """Raise ConfigurationError unless the solver works on a mesh that is divided among several ranks."""
     if options.solver != "newton":

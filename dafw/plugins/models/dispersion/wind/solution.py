@@ -21,6 +21,7 @@ class WindSolution:
         unit: (n,) unknowns of the unit wind.
         intensity: in m/s.
         direction: towards which the air moves, in radians.
+        reynolds: unit Reynolds number intensity / viscosity, in 1/m.
         iterations: factorisations that were made.
         residual: norm of the residual, relative like the solver's tolerance.
     """
@@ -28,5 +29,6 @@ class WindSolution:
     unit: np.ndarray
     intensity: float
     direction: float
+    reynolds: float
     iterations: int
     residual: float

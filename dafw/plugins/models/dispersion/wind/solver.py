@@ -59,21 +59,21 @@ class WindSolver:
         """The digest of the reduced basis in use; empty if there is none."""
         return ""
 
-    def viscosity(self, intensity: float) -> float:
-        """Return the effective viscosity in m^2/s at an intensity in m/s."""
-        if self.options.closure == "constant":
-            return self.options.viscosity
-        return self.options.viscosity * intensity / self.options.reference_intensity
-
-    def reynolds(self, intensity: float) -> float:
+    def reynolds(self, intensity: float, viscosity: float | None = None) -> float:
         """Return the unit Reynolds number intensity / viscosity in 1/m.
 
         With the proportional closure it is the same number for all intensities, zero included.
+
+        Args:
+            intensity: in m/s.
+            viscosity: in m^2/s; None: that of the options.
         """
         reference = intensity if self.options.closure == "constant" else self.options.reference_intensity
-        return reference / self.options.viscosity
+        return reference / (self.options.viscosity if viscosity is None else viscosity)
 
-    def solve(self, intensity: float, direction: float, start: np.ndarray | None = None) -> WindSolution:
+    def solve(
+        self, intensity: float, direction: float, start: np.ndarray | None = None, viscosity: float | None = None
+    ) -> WindSolution:
         """Return the wind of an intensity and a direction.
 
         If Newton's method fails from ``start``, the solution is followed from Stokes flow.
@@ -82,25 +82,26 @@ class WindSolver:
             intensity: in m/s, at least 0.
             direction: towards which the air moves, in radians.
             start: (n,) a unit wind of any direction and intensity to start from; None starts from Stokes flow.
+            viscosity: in m^2/s, instead of that of the options.
 
         Raises WindError if the tolerance is not reached, and ContractError if an argument is not finite or has another
         shape.
         """
-        start = self._checked(intensity, direction, start)
+        start = self._checked(intensity, direction, start, viscosity)
+        reynolds = self.reynolds(float(intensity), viscosity)
         # An overflow makes the iteration fail to converge, which is reported as such.
         with np.errstate(over="ignore", invalid="ignore"):
-            return self._solve(float(intensity), float(direction), start)
+            return self._solve(float(intensity), float(direction), reynolds, start)
 
     def solve_ahead(self, winds: Sequence[tuple[float, float]], threads: int) -> None:
         """Solve winds that ``solve`` will be asked for, several at a time where a solver can. No bit depends on it.
 
         Args:
-            winds: intensity in m/s and direction in radians of each.
+            winds: unit Reynolds number in 1/m and direction in radians of each.
             threads: how many at a time.
         """
 
-    def _solve(self, intensity: float, direction: float, start: np.ndarray | None) -> WindSolution:
-        reynolds = self.reynolds(intensity)
+    def _solve(self, intensity: float, direction: float, reynolds: float, start: np.ndarray | None) -> WindSolution:
         fixed, lift = self.boundary.conditions(direction)
         scale = self._norm(lift, reynolds, fixed)
         target = self.options.tolerance * scale
@@ -120,11 +121,11 @@ class WindSolver:
         residual = self._norm(found.unknowns, reynolds, fixed) / scale
         if not residual <= self.options.tolerance:
             raise WindError(
-                f"wind: no solution for intensity {intensity:.6g} m/s, direction {direction:.6g} rad, viscosity "
-                f"{self.viscosity(intensity):.6g} m^2/s: relative residual {residual:.3g} after {iterations} "
-                f"factorisations, expected at most {self.options.tolerance:.3g}"
+                f"wind: no solution for intensity {intensity:.6g} m/s, direction {direction:.6g} rad, intensity / "
+                f"viscosity {reynolds:.6g} 1/m: relative residual {residual:.3g} after {iterations} factorisations, "
+                f"expected at most {self.options.tolerance:.3g}"
             )
-        return WindSolution(found.unknowns, intensity, direction, iterations, residual)
+        return WindSolution(found.unknowns, intensity, direction, reynolds, iterations, residual)
 
     def derivatives(self, wind: WindSolution) -> tuple[np.ndarray, np.ndarray]:
         """Return the derivatives (2 m,) of the velocity of a unit wind with respect to R and to the direction.
@@ -136,7 +137,7 @@ class WindSolver:
         problem, unit = self.problem, wind.unit
         fixed, _ = self.boundary.conditions(wind.direction)
         _, turned = self.boundary.conditions(wind.direction + 0.5 * np.pi)
-        reynolds = self.reynolds(wind.intensity)
+        reynolds = wind.reynolds
         ahead, behind = (problem.residual(unit + sign * turned, reynolds) for sign in (1.0, -1.0))
         by_reynolds = problem.residual(unit, 1.0) - problem.residual(unit, 0.0)
         by_direction = 0.5 * (ahead - behind)  # exact, because the residual is quadratic
@@ -149,7 +150,11 @@ class WindSolver:
     def _norm(self, unknowns: np.ndarray, reynolds: float, fixed: np.ndarray) -> float:
         return self.problem.norm(self.problem.residual(unknowns, reynolds)[~fixed])
 
-    def _checked(self, intensity: float, direction: float, start: np.ndarray | None) -> np.ndarray | None:
+    def _checked(
+        self, intensity: float, direction: float, start: np.ndarray | None, viscosity: float | None
+    ) -> np.ndarray | None:
+        if viscosity is not None and not 0.0 < viscosity < np.inf:
+            raise ContractError(f"wind: expected a finite viscosity above 0 m^2/s, got {viscosity}")
         if not (np.isfinite(intensity) and intensity >= 0.0 and np.isfinite(direction)):
             raise ContractError(
                 f"wind: expected a finite intensity of at least 0 m/s and a finite direction, got {intensity} m/s and "
