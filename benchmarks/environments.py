@@ -15,29 +15,29 @@ from dafw.core.errors import ComputationError
 ENVIRONMENT = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MPLBACKEND": "agg"}
 
 
-def interpreter_with(package: str) -> Path:
-    """Return the Python of an environment that holds nothing but ``package``, such as ``dapper==1.8.1``."""
+def interpreter_with(*packages: str) -> Path:
+    """Return the Python of an environment that holds nothing but ``packages``, such as ``dapper==1.8.1``."""
     from platformdirs import user_cache_path
 
-    folder = (
-        user_cache_path("dafw") / f"{package.replace('==', '-')}-py{sys.version_info.major}.{sys.version_info.minor}"
-    )
+    name = "-".join(package.replace("==", "-").replace("*", "x") for package in packages)
+    folder = user_cache_path("dafw") / f"{name}-py{sys.version_info.major}.{sys.version_info.minor}"
     interpreter, ready = folder / "bin" / "python", folder / "ready"
     if not ready.exists():
         if uv := shutil.which("uv"):
             command([uv, "venv", "--clear", "--python", sys.executable, str(folder)])
-            command([uv, "pip", "install", "--python", str(interpreter), package])
+            command([uv, "pip", "install", "--python", str(interpreter), *packages])
         else:
             command([sys.executable, "-m", "venv", "--clear", str(folder)])
-            command([str(interpreter), "-m", "pip", "install", "--quiet", package])
+            command([str(interpreter), "-m", "pip", "install", "--quiet", *packages])
         ready.touch()
     return interpreter
 
 
-def worker_output(package: str, worker: str, arguments: Sequence[str]) -> str:
-    """Return the last line that ``workers/WORKER`` prints in the environment of ``package``."""
+def worker_output(packages: str | Sequence[str], worker: str, arguments: Sequence[str]) -> str:
+    """Return the last line that ``workers/WORKER`` prints in the environment of ``packages``."""
     script = Path(__file__).parent / "workers" / worker
-    words = [str(interpreter_with(package)), "-W", "ignore", str(script), *arguments]
+    wanted = [packages] if isinstance(packages, str) else packages
+    words = [str(interpreter_with(*wanted)), "-W", "ignore", str(script), *arguments]
     return command(words, {**os.environ, **ENVIRONMENT}).splitlines()[-1]
 
 

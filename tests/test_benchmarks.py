@@ -50,6 +50,14 @@ def test_esmda_is_compared_with_pyesmda():
 
 
 @pytest.mark.skip(
+    reason="downloads two checkers and uxarray into environments of their own; "
+    "run: python -m benchmarks netcdf.complaints netcdf.uxarray"
+)
+def test_others_read_the_files_of_runs():
+    assert command("netcdf.complaints", "netcdf.uxarray", "--short").returncode == 0
+
+
+@pytest.mark.skip(
     reason="downloads DAPPER into an environment of its own; run: python -m benchmarks l96.etkf_over_dapper"
 )
 def test_dapper_is_timed_on_the_same_setting():

@@ -10,6 +10,7 @@ from pathlib import Path
 import netCDF4
 import numpy as np
 import pytest
+from conventions import breaches
 
 from dafw import Analysis, ComputationError, Filter, Model, StateSpace, Study, Variable
 from dafw.plugins.filters.enks import EnKS
@@ -137,6 +138,11 @@ def test_every_variable_is_on_the_page_and_is_there_when_the_page_says_so(run):
         written = dims.replace(" (node)", f", {node.pop()}" if node and "(node)" in dims else "")
         assert ", ".join(file[name].dimensions) == written, name
     assert set(file.variables) - known == set()
+
+
+def test_the_file_keeps_to_the_conventions(run):
+    file, _, _ = run
+    assert breaches(file.filepath()) == []
 
 
 def test_every_dimension_is_on_the_page(run):

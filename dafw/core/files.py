@@ -6,9 +6,12 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import BinaryIO
+from typing import TYPE_CHECKING, BinaryIO
 
 from dafw.core.errors import RunError
+
+if TYPE_CHECKING:
+    from xarray import Dataset
 
 
 @contextmanager
@@ -41,6 +44,17 @@ def claim(path: Path) -> None:
         path.open("x").close()
     except FileExistsError:
         raise RunError(f"{path.parent}: holds a run already; nothing was changed") from None
+
+
+def write_dataset(path: Path, dataset: Dataset) -> None:
+    """Write netCDF-4; readers see the old file or the new one, never a part.
+
+    The conventions are CF's, so the coordinates of dimensions get no number that means a missing one.
+    """
+    named = dataset.assign_attrs({"Conventions": "CF-1.11", **dataset.attrs})
+    filled = {name: {"_FillValue": None} for name in dataset.dims if name in dataset.variables}
+    with atomic_file(path) as stream:
+        named.to_netcdf(stream.name, format="NETCDF4", engine="netcdf4", encoding=filled)
 
 
 def write_atomically(path: Path, text: str) -> None:

@@ -1,7 +1,8 @@
 """Writes the cycles of a run to ``run.nc`` while the run goes on. docs/run-file.md lists the names in the file.
 
 Row k of ``time`` is the state after k cycles, as it was known then. Fields are stored in single precision, parameters
-and scores in double. Rows are held in memory until one comes at least ``FLUSH_SECONDS`` after the last write. Then all
+and scores in double. Rows are held in memory until one comes at least ``FLUSH_SECONDS`` after the last write, or they
+take ``HELD_BYTES``: so memory does not grow with the cycles, however large an ensemble is. Then all
 are written and the file is synchronised, so that a run killed at any moment leaves a file that opens. Beliefs that a
 filter revises later are written at the same time, to the row that they belong to, as separate variables.
 
@@ -29,6 +30,7 @@ from dafw.core.run_file import STAGES, RunFile
 from dafw.core.space import Array, StateSpace, Variable
 
 FLUSH_SECONDS = 0.5
+HELD_BYTES = 32_000_000
 type Entries = Iterable[tuple[dict[str, Any], dict[str, Array]]]
 type Numbers = Callable[[Sequence[str]], list[int]]
 
@@ -73,6 +75,7 @@ class Record:
             journal=journal if before is None else None,
         )
         self._rows: list[dict[str, Any]] = []
+        self._held = 0
         self._revised: dict[int, Ensemble] = {}
         self._thin = fields == "ends"
         self._done = 0
@@ -93,7 +96,8 @@ class Record:
         row = self._append(cycle.state, cycle.truth, cycle)
         for done, revised in cycle.analysis.revised.items():
             self._revised[done] = revised.ensemble
-        if perf_counter() - self._flushed > FLUSH_SECONDS:
+        self._held += sum(value.nbytes for value in row.values() if isinstance(value, np.ndarray))
+        if perf_counter() - self._flushed > FLUSH_SECONDS or self._held > HELD_BYTES:
             self.flush()
         self._recording = perf_counter() - begun
         return {name: row[name] for name in (*SCORES, *INNOVATION) if name in row}
@@ -173,6 +177,7 @@ class Record:
         """Write the rows held in memory, and revised beliefs to the rows that they belong to; synchronise the file."""
         self._file.write(self._rows)
         self._rows.clear()
+        self._held = 0
         for done, belief in self._revised.items():
             row: dict[str, Any] = {name: belief.mean[place] for name, place in self._places["smoothed_mean"]}
             row |= {name: belief.spread[place] for name, place in self._places["smoothed_spread"]}

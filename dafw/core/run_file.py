@@ -106,9 +106,9 @@ class RunFile:
         self._file.createDimension("member", n_members)
         self._file.createDimension("vehicle", n_vehicles)
         self._file.createDimension("phase", len(PHASES))
-        phases = self._file.createVariable("phase", str, ("phase",))
+        phases = self._file.createVariable("phase_name", str, ("phase",))
         phases[:] = np.array(PHASES, dtype=object)
-        phases.long_name = "phase of a cycle"
+        phases.long_name = "name of the phase of a cycle"
 
     def _static(self, name: str, dims: tuple[str, ...], values: Any, units: str, long_name: str) -> Any:
         """Write a variable that does not change with time; create its dimensions if they are missing."""
@@ -132,13 +132,15 @@ class RunFile:
         chunks = [max(1, min(1024, CHUNK_NUMBERS // max(1, math.prod(sizes[1:])))), *sizes[1:]]
         if "observation" in dims:
             chunks = [64, 16]
+        # A coordinate has no missing values (CF).
+        given = None if dims == (name,) else fill
         variable = self._file.createVariable(
-            name, dtype, dims, fill_value=fill, chunksizes=chunks if 0 not in chunks else None
+            name, dtype, dims, fill_value=given, chunksizes=chunks if 0 not in chunks else None
         )
         variable.setncatts({"units": units, "long_name": long_name, **attributes})
         # Written values already have the variable's type and are never masked, so netCDF4 need not convert them.
         variable.set_auto_maskandscale(False)
-        self._fills[name], self._shapes[name] = variable._FillValue, tuple(sizes[1:])
+        self._fills[name], self._shapes[name] = variable.dtype.type(fill), tuple(sizes[1:])
 
     def _dims(self, variable: Variable) -> tuple[str, ...]:
         """Return a state variable's dimensions besides time; the first with several numbers gets ``node``."""
@@ -181,7 +183,8 @@ class RunFile:
                 self._fields.update(names)
 
     def _define_cycle_variables(self, scored: str, units: str) -> None:
-        self._define("time", ("time",), "f8", "s", "time since the start", axis="T")
+        # No `axis`, no `standard_name`: for CF those are of times since a date, and a study has none.
+        self._define("time", ("time",), "f8", "s", "time since the start")
         present = {stage.split("_")[0] for stage in self._stages}
         compared = {"err": "belief", "err_forecast": "forecast", "err_free": "free run", "err_smoothed": "revision"}
         scored_by = {"err_free": "free", "err_smoothed": "smoothed"}
@@ -220,7 +223,8 @@ class RunFile:
         )
         self._define("innovation_mean", ("time",), "f8", "1", "mean of the innovations over their expected spread")
         self._define("innovation_rms", ("time",), "f8", "1", "root mean square of the innovations, likewise")
-        self._define("phase_seconds", ("time", "phase"), "f8", "s", "wall time of the phases of a cycle")
+        title = "wall time of the phases of a cycle"
+        self._define("phase_seconds", ("time", "phase"), "f8", "s", title, coordinates="phase_name")
 
     def require(self, name: str, diagnostic: Diagnostic, values: Any) -> None:
         """Define a diagnostic's variable if it is new; raises ContractError if the values do not fit into it."""

@@ -7,10 +7,15 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from dafw.core.errors import RunError
 
 if TYPE_CHECKING:
     import xarray
+
+NO_TIME = 9e36
+"""Below what netCDF has for a number that was not written. Coordinates have no missing values in CF."""
 
 
 def open_run(path: str | Path) -> xarray.Dataset:
@@ -31,9 +36,13 @@ def open_run(path: str | Path) -> xarray.Dataset:
     os.environ.setdefault("HDF5_USE_FILE_LOCKING", "FALSE")
     try:
         # Keep times and phases as plain numbers of seconds; xarray would convert them to timedelta.
-        return xarray.open_dataset(file, engine="netcdf4", decode_times=False)
+        found = xarray.open_dataset(file, engine="netcdf4", decode_times=False)
     except (OSError, ValueError) as error:
         raise RunError(f"{file}: cannot be read as netCDF ({' '.join(str(error).split())})") from error
+    if "time" not in found.indexes:
+        return found
+    written = found["time"].values < NO_TIME  # a row that is just being written may not have its time yet
+    return found if written.all() else found.isel(time=np.flatnonzero(written))
 
 
 def summary_of(folder: Path) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from dafw.core.domain import Domain
 
 def write_domain(file: Any, domain: Domain) -> None:
     """Write the domain into an open netCDF4 file that has its nodes already."""
+    corners, places = "corners of the obstacles, one obstacle after the other", "named places"
 
     def put(name: str, dim: str, values: Any, units: str = "m", **attributes: str) -> None:
         if dim not in file.dimensions:
@@ -43,21 +44,29 @@ def write_domain(file: Any, domain: Domain) -> None:
         for axis in "xy":
             file.variables[f"node_{axis}"].standard_name = f"projection_{axis}_coordinate"
     if domain.obstacles:
-        put("obstacle_vertex_count", "obstacle", np.array([len(ring) for ring in domain.obstacles], "i4"), "1")
+        put(
+            "obstacle_vertex_count",
+            "obstacle",
+            np.array([len(ring) for ring in domain.obstacles], "i4"),
+            "1",
+            long_name="number of corners",
+        )
         vertices = np.concatenate(domain.obstacles)
-        put("obstacle_x", "obstacle_vertex", vertices[:, 0], axis="X")
-        put("obstacle_y", "obstacle_vertex", vertices[:, 1], axis="Y")
-        put("obstacle_name", "obstacle", list(domain.obstacle_names) or [""] * len(domain.obstacles))
+        put("obstacle_x", "obstacle_vertex", vertices[:, 0], axis="X", long_name=f"x of the {corners}")
+        put("obstacle_y", "obstacle_vertex", vertices[:, 1], axis="Y", long_name=f"y of the {corners}")
+        names = list(domain.obstacle_names) or [""] * len(domain.obstacles)
+        put("obstacle_name", "obstacle", names, long_name="names of the obstacles")
         container = file.createVariable("obstacles", "i4", ())
         container.setncatts(
             {
                 "geometry_type": "polygon",
+                "long_name": "obstacles",
                 "node_count": "obstacle_vertex_count",
                 "node_coordinates": "obstacle_x obstacle_y",
             }
         )
     if domain.landmarks:
-        put("landmark_name", "landmark", list(domain.landmarks))
-        places = np.array(list(domain.landmarks.values()), dtype=np.float64)
-        put("landmark_x", "landmark", places[:, 0])
-        put("landmark_y", "landmark", places[:, 1])
+        put("landmark_name", "landmark", list(domain.landmarks), long_name=f"names of the {places}")
+        points = np.array(list(domain.landmarks.values()), dtype=np.float64)
+        put("landmark_x", "landmark", points[:, 0], long_name=f"x of the {places}")
+        put("landmark_y", "landmark", points[:, 1], long_name=f"y of the {places}")

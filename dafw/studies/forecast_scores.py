@@ -18,7 +18,7 @@ from xarray import DataArray, Dataset
 
 from dafw.core.domain import node_areas
 from dafw.core.errors import RunError
-from dafw.core.files import atomic_file
+from dafw.core.files import write_dataset
 from dafw.core.forecasts.contours import contour_of
 from dafw.core.forecasts.forecast_file import FILE, open_forecasts
 from dafw.core.forecasts.plan import MEDIAN
@@ -31,6 +31,19 @@ RIVALS = ("belief", "free", "now", "released")
 BINS = 10
 """Intervals of promised probabilities in a reliability diagram: bin k holds those nearest to k / BINS."""
 DIMS = ("issue", "lead", "threshold")
+TITLES = {
+    "brier": ("1", "Brier score of places"),
+    "contour_distance": ("m", "mean distance of the threshold's contour from the truth's"),
+    "arrival_error": ("s", "mean error of the time of arrival"),
+    "reliability_share": ("1", "share of the site in a bin of promised probability"),
+    "reliability_promised": ("1", "sum of what was promised in a bin"),
+    "reliability_happened": ("1", "sum of what happened in a bin"),
+    "area_happened": ("1", "whether an area was reached"),
+    "area_promised": ("1", "promised probability that an area is reached"),
+    "area_brier": ("1", "Brier score of areas"),
+    "area_arrival_crps": ("s", "continuous ranked probability score of the time of arrival in an area"),
+}
+"""Units and names of the scores, without the forecast that is compared."""
 
 
 @dataclass(frozen=True)
@@ -69,8 +82,7 @@ def kept_scores(folder: Path) -> Dataset:
             if found.attrs.get("of") == mark:
                 return found.load()
     scores = forecast_scores(folder).assign_attrs(of=mark)
-    with atomic_file(kept) as stream:
-        scores.to_netcdf(stream.name, format="NETCDF4", engine="netcdf4")
+    write_dataset(kept, scores)
     return scores
 
 
@@ -84,7 +96,12 @@ def scores_of(forecasts: Dataset, where: str = "forecast.nc") -> Dataset:
     happened = truth[:, :, np.newaxis] > limits[:, np.newaxis]
     guesses, contours = guesses_of(forecasts, ""), _contours(forecasts, truth)
     shares = node_shares(forecasts)
-    coordinates = {dim: forecasts[dim].values for dim in DIMS} | {"bin": np.arange(BINS + 1) / BINS}
+    bins = (
+        "bin",
+        np.arange(BINS + 1) / BINS,
+        {"units": "1", "long_name": "promised probability in the middle of a bin"},
+    )
+    coordinates = {dim: (dim, forecasts[dim].values, forecasts[dim].attrs) for dim in DIMS} | {"bin": bins}
     scores = Dataset(coords=coordinates, attrs={"scored_variable": name, "horizon": horizon_of(forecasts)})
     for rival, guess in guesses.items():
         brier = np.tensordot(_brier(happened, guess.chance), shares, axes=1)
@@ -97,6 +114,14 @@ def scores_of(forecasts: Dataset, where: str = "forecast.nc") -> Dataset:
         scores[f"reliability_{part}"] = DataArray(values, dims=(*DIMS, "bin"))
     if "area" in forecasts.dims:
         scores = scores.assign(_of_areas(forecasts))
+    for name in scores.data_vars:
+        score, _, rival = str(name).rpartition("_")
+        if rival in RIVALS:
+            units, title = TITLES[score]
+            scores[name].attrs |= {"units": units, "long_name": f"{title}, forecast '{rival}'"}
+        elif name in TITLES:
+            units, title = TITLES[str(name)]
+            scores[name].attrs |= {"units": units, "long_name": title}
     return scores
 
 
@@ -244,4 +269,6 @@ def _of_areas(forecasts: Dataset) -> Mapping[str, DataArray]:
         )
     )
     made = {name: DataArray(values, dims=dims) for name, values in found.items()}
-    return made | {"area_name": DataArray(forecasts["area_name"].values, dims="area")}
+    return made | {
+        "area_name": DataArray(forecasts["area_name"].values, dims="area", attrs=forecasts["area_name"].attrs)
+    }

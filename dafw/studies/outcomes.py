@@ -10,7 +10,7 @@ import numpy as np
 from xarray import Dataset, Variable
 
 from dafw.core.errors import DafwError
-from dafw.core.files import atomic_file
+from dafw.core.files import write_dataset
 from dafw.core.grid_of_runs import join
 from dafw.core.runs import open_run, summary_of
 from dafw.core.space import Kind, StateSpace
@@ -37,7 +37,8 @@ def gather(study: ManyRuns, folder: Path) -> Dataset:
     joined = joined_results(folder, overrides, study.seeds, places, study.success)
     for axis in study.configurations[0].place:
         found = [one.place[axis] for one in study.configurations]
-        joined = joined.assign_coords({axis: ("configuration", _numbers(found))})
+        title = f"value of '{axis}' in the configuration"
+        joined = joined.assign_coords({axis: ("configuration", _numbers(found), {"long_name": title})})
     joined.attrs = {"title": study.title, "study": study.name, "success_below_percent": study.success}
     if study.floor is not None:
         floors = known_floors(study, folder)
@@ -77,15 +78,21 @@ def joined_results(
     joined = joined.assign(once)
     joined = joined.assign_coords({"overrides": ("configuration", np.array([*overrides.values()]))})
     joined = joined.assign(time_to_success=_time_to_success(joined, success))
-    joined["seed"].attrs["long_name"] = "seed of every random number of a run"
-    joined["status"].attrs["long_name"] = "how a run ended: complete, failed, interrupted or missing"
+    for name, long_name in (
+        ("configuration", "name of the configuration"),
+        ("overrides", "what the configuration changes in the study"),
+        ("seed", "seed of every random number of a run"),
+        ("status", "how a run ended: complete, failed, interrupted or missing"),
+        ("error", "why a run failed"),
+        ("folder", "folder of a run in that of the study"),
+    ):
+        joined[name].attrs["long_name"] = long_name
     return joined
 
 
 def write_study(results: Dataset, file: Path) -> None:
     """Write ``study.nc``; a reader sees the old file or the new one, never a part."""
-    with atomic_file(file) as stream:
-        results.to_netcdf(stream.name, format="NETCDF4", engine="netcdf4")
+    write_dataset(file, results)
 
 
 def _time_to_success(joined: Dataset, success: float) -> Variable:

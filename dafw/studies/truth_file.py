@@ -33,16 +33,18 @@ class TruthFile:
         except OSError as error:
             raise RunError(f"{path}: is there already, or cannot be written; nothing was changed ({error})") from None
         self._space = space
-        self._file.setncatts({"scored_variable": space.variables[0].name, **attributes})
+        self._file.setncatts({"Conventions": "CF-1.11", "scored_variable": space.variables[0].name, **attributes})
         self._file.createDimension("time", None)
-        self._file.createVariable("time", "f8", ("time",)).units = "s"
+        time = self._file.createVariable("time", "f8", ("time",))
+        time.setncatts({"units": "s", "long_name": "time since the start"})
         for variable in space.variables:
             dims: tuple[str, ...] = ("time",)
             if variable.size > 1:
                 self._file.createDimension(f"{variable.name}_entry", variable.size)
                 dims = ("time", f"{variable.name}_entry")
             made = self._file.createVariable(f"{variable.name}_truth", "f8", dims)
-            made.setncatts({"units": variable.units, "kind": variable.kind.value})
+            title = f"{variable.long_name or variable.name.replace('_', ' ')}, truth"
+            made.setncatts({"units": variable.units, "long_name": title, "kind": variable.kind.value})
 
     def append(self, truth: Ensemble) -> None:
         """Add a row: the truth, one member in the belief's state space."""

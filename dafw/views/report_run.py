@@ -21,6 +21,7 @@ from dafw.views.contents import (
 from dafw.views.places import has_places
 from dafw.views.report_curves import curves_of, innovations_of, numbers, spoken, units_of
 from dafw.views.report_fields import deflated_numbers, kept_rows, packed_fields
+from dafw.views.report_forecasts import forecasts_of
 from dafw.views.report_words import words_of
 from dafw.views.style import peak_at_end
 
@@ -60,6 +61,7 @@ def page_of_run(run: Dataset, folder: Path) -> dict[str, Any]:
         "readings": readings_of(run),
         "sources": _sources(run),
         "wind": wind_of(run),
+        "forecasts": forecasts_of(run, folder),
         "scores": _policy_scores(run),
         "words": words_of(run, folder),
     }

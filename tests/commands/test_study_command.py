@@ -17,6 +17,7 @@ import pytest
 import waiting
 import xarray
 import yaml
+from conventions import breaches
 from filelock import FileLock
 from run_files import contents
 from waiting import PATIENCE, children, ended, go_on, halted
@@ -100,6 +101,7 @@ def test_a_study_leaves_ordinary_runs_and_their_statistics(finished, monkeypatch
         for name in ("etkf", "enkf")
     ]
     assert [one["median_err"] for one in summary["configurations"]] == pytest.approx(np.mean(finals, axis=1))
+    assert breaches("done/study.nc") == []
     with xarray.open_dataset("done/study.nc") as results:
         np.testing.assert_array_equal(results["err_final"], finals)
 

@@ -11,6 +11,7 @@ import netCDF4
 import numpy as np
 import pytest
 import xarray
+from conventions import breaches
 from run_files import contents
 
 import dafw
@@ -25,6 +26,7 @@ from dafw.plugins.models.linear_advection import LinearAdvection
 from dafw.plugins.observers.drone import Drone
 from dafw.plugins.observers.grid import Grid
 from dafw.plugins.readings.listed import Listed
+from dafw.studies.forecast_scores import KEPT, kept_scores
 from dafw.studies.forecasting import NO_PLACE
 from dafw.studies.running import run_study
 
@@ -74,6 +76,11 @@ def file_bits(path):
         return {name: np.asarray(variable[...]).astype(str).tobytes() for name, variable in file.variables.items()}
 
 
+def test_forecasts_and_their_scores_keep_to_the_conventions(folder):
+    kept_scores(folder)
+    assert [breaches(folder / name) for name in ("run.nc", "forecast.nc", KEPT)] == [[], [], []]
+
+
 def test_a_run_has_the_same_bits_with_and_without_forecasts(folder, tmp_path):
     run_study(study(forecast=ForecastPlan()), tmp_path / "without")
     assert contents(folder) == contents(tmp_path / "without")
@@ -98,7 +105,7 @@ def test_the_file_opens_with_plain_xarray_and_says_what_it_holds(folder):
         assert file["exceedance_probability"].dims == ("issue", "lead", "threshold", "node")
         assert file["exceedance_probability"].attrs["mesh"] == "mesh2d"
         assert file["mesh2d"].attrs["cf_role"] == "mesh_topology"
-        assert file["issue"].attrs["standard_name"] == "forecast_reference_time"
+        assert file["lead"].attrs["standard_name"] == "forecast_period"
         assert file["area_name"].values.tolist() == ["gate"]
         assert "Flare" in file["building_name"].values
         chances = file["exceedance_probability"].values

@@ -10,6 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from conventions import breaches
 from run_files import contents
 from small_plant import small_plant
 
@@ -98,6 +99,7 @@ def test_what_is_scored_afterwards_is_what_the_twin_scored(tmp_path):
     for row in kept.rows:
         truth.append(row)
     truth.close()
+    assert breaches(tmp_path / "live" / "truth.nc") == []
     found = scores_of(tmp_path / "live")
     with dafw.open_run(tmp_path / "twin") as twin:
         assert found["err"] == pytest.approx(twin["err"].values, rel=1e-5)

@@ -1,5 +1,7 @@
 """Animations: their frames show the rows of the run, and what cannot be written is refused."""
 
+import re
+import subprocess
 from itertools import pairwise
 
 import numpy as np
@@ -63,6 +65,27 @@ def test_rows_without_a_field_are_no_frames(short_run, tmp_path):
     for name in ("truth", "mean", "free"):
         run[f"concentration_{name}"].values[1:5] = np.nan
     assert len(frames(animate(run, tmp_path / "a.gif"))[0]) == 2
+
+
+def test_an_mp4_can_be_decoded_and_lasts_as_long_as_its_frames(short_run, tmp_path):
+    reader = pytest.importorskip("imageio_ffmpeg", reason="a development dependency that brings ffmpeg")
+    file = animate(short_run, tmp_path / "a.mp4", every=2, rate=4)
+    words = [reader.get_ffmpeg_exe(), "-i", str(file), "-f", "image2pipe", "-vcodec", "ppm", "-"]
+    done = subprocess.run(words, capture_output=True, check=True)
+    (size,) = set(re.findall(rb"P6\n(\d+ \d+)\n255\n", done.stdout))  # what stands before each picture
+    width, height = map(int, size.split())
+    pictures = np.frombuffer(done.stdout, dtype=np.uint8).reshape(-1, len(size) + 8 + width * height * 3)[
+        :, len(size) + 8 :
+    ]
+    pictures = pictures.reshape(-1, height, width, 3)
+    duration = re.search(rb"Duration: 00:00:(\d+\.\d+)", done.stderr)[1]
+    count = len(range(0, short_run.sizes["time"] - 1, 2)) + 1
+    assert len(pictures) == count and float(duration) == pytest.approx(count / 4, abs=0.01)
+    # The first frame is that of the GIF, but for what the format loses and a line that makes its sizes even.
+    expected = frames(animate(short_run, tmp_path / "a.gif", every=2, rate=4))[0][0]
+    assert expected.shape[0] <= height <= expected.shape[0] + 1 and expected.shape[1] <= width <= expected.shape[1] + 1
+    off = np.abs(pictures[0][: expected.shape[0], : expected.shape[1]].astype(float) - expected[..., :3])
+    assert off.mean() < 6.0 and np.abs(pictures[0].astype(float) - pictures[-1]).mean() > 0.5
 
 
 def test_what_cannot_be_written_is_refused_and_leaves_nothing(short_run, ring_run, tmp_path, monkeypatch):

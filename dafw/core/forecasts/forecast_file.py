@@ -22,14 +22,13 @@ from dafw.core.forecasts.ahead import Ahead, Course
 from dafw.core.forecasts.areas import Places
 from dafw.core.forecasts.chances import chance, exceeded, quantile
 from dafw.core.forecasts.plan import ForecastPlan
+from dafw.core.runs import NO_TIME
 from dafw.core.space import Array
 from dafw.core.ugrid import write_domain
 
 FILE = "forecast.nc"
 SINGLES = ("truth", "free")
 """What else is run ahead to judge forecasts by; its variables end in its name."""
-NO_TIME = 9e36
-"""Below what netCDF has for a number that was not written."""
 LATER = "missing: not within the horizon with that probability"
 
 
@@ -119,10 +118,9 @@ class ForecastFile:
             made[:] = values
             made.setncatts({"units": units, **attributes})
         long_name = "time since the start at which the forecast was made"
-        self._define("issue", ("issue",), "s", long_name, standard_name="forecast_reference_time", axis="T")
-        self._define(
-            "valid_time", ("issue", "lead"), "s", "time since the start that a map is of", standard_name="time"
-        )
+        # No `axis`, no `standard_name`: for CF those are of times since a date, and a study has none.
+        self._define("issue", ("issue",), "s", long_name)
+        self._define("valid_time", ("issue", "lead"), "s", "time since the start that a map is of")
         for axis, column in zip("xyz", () if coordinates is None else coordinates.T, strict=False):
             made = file.createVariable(f"node_{axis}", "f8", ("node",))
             made[:] = column

@@ -64,7 +64,8 @@ function fieldBar(maps, panel, table, title) {
   return bar(title, colourAt, [least, formatNumber((low + high) / 2), most]);
 }
 
-function bar(title, colourAt, labels) {
+/** Return a bar of colours with its title above and labels below. */
+export function bar(title, colourAt, labels) {
   const canvas = element("canvas", { "aria-hidden": "true" });
   fillBar(canvas, colourAt);
   const ends = element("div", { class: "ends" }, labels.map((text) => element("span", {}, [text])));

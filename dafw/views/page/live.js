@@ -35,7 +35,7 @@ export function followRun(state, refresh, say) {
 export async function take(data, next) {
   const values = await Promise.all((next.fields?.panels ?? []).map(unpackField));
   Object.assign(data.time, next.time);
-  const whole = ["vehicles", "readings", "sources", "wind", "scores", "curves", "innovations", "words"];
+  const whole = ["vehicles", "readings", "sources", "wind", "scores", "curves", "innovations", "words", "forecasts"];
   for (const key of whole) data[key] = next[key];
   if (data.fields && next.fields) Object.assign(data.fields, next.fields);
   return (next.fields?.panels ?? []).map((panel, k) => ({ ...panel, values: values[k] }));

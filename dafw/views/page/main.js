@@ -1,5 +1,6 @@
 // Puts the page together from its data.
 
+import { Ahead } from "./ahead.js";
 import { showMarks } from "./bars.js";
 import { Chart } from "./chart.js";
 import { connectControls } from "./controls.js";
@@ -54,6 +55,7 @@ async function refresh(data, next, views, theme, player) {
   player.extend(data.time.values.length);
   showCharts(data, views, theme, player);
   views.place?.refresh();
+  await views.ahead?.refresh();
   showWords(data);
 }
 
@@ -65,6 +67,8 @@ async function showMaps(data, fields, theme, player) {
   };
   const hasFields = mesh.triangles.length > 0;
   const maps = new Maps(data, mesh, hasFields ? fields : [], theme, player);
+  const ahead = hasFields ? new Ahead(data, maps, theme, player) : null;
+  await ahead?.refresh();
   const place = hasFields ? new PlaceSeries(data, mesh, maps, theme, player) : null;
   showMarks(data);
   document.querySelector("#maps .hint").hidden = !hasFields;
@@ -84,7 +88,7 @@ async function showMaps(data, fields, theme, player) {
       maps.retint();
     });
   }
-  return { maps, place };
+  return { maps, place, ahead };
 }
 
 /** Show every chart that there are data for; a chart that is there already gets the new data. */

@@ -82,14 +82,19 @@ export class Maps {
       if (!width || !height) continue;
       panel.overlay.resize(width, height, ratio, this.theme.colours);
       if (!this.field(panel)) continue;
-      const factor = Math.min(ratio, Math.sqrt(MOST_PIXELS / (width * height)));
-      const [wide, high] = [Math.round(width * factor), Math.round(height * factor)];
+      const [wide, high] = this.pixels(width, height, ratio);
       panel.raster = this.raster(wide, high);
       panel.under.width = wide;
       panel.under.height = high;
       panel.image = panel.context.createImageData(wide, high);
       panel.pixels = new Uint32Array(panel.image.data.buffer);
     }
+  }
+
+  /** Return how many pixels a map of a size is drawn with. */
+  pixels(width, height, ratio) {
+    const factor = Math.min(ratio, Math.sqrt(MOST_PIXELS / (width * height)));
+    return [Math.round(width * factor), Math.round(height * factor)];
   }
 
   raster(width, height) {

@@ -7,6 +7,7 @@ import json
 import numpy as np
 import pytest
 import xarray
+from conventions import breaches
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from tables import require_same, tables, written_and_read
@@ -255,6 +256,7 @@ def test_stations_are_written_as_stations_and_vehicles_as_trajectories(tmp_path)
         with xarray.open_dataset(tmp_path / "a.nc", decode_times=False) as dataset:
             assert dataset.attrs["featureType"] == feature
             assert dataset["value"].encoding["coordinates"] == "time x y"
+        assert breaches(tmp_path / "a.nc") == ["value has no units"]  # none are told
 
 
 @pytest.mark.parametrize(

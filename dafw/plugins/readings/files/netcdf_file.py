@@ -189,7 +189,11 @@ def write_netcdf(table: Table, path: Path) -> None:
     dataset = xarray.Dataset(attrs={"Conventions": "CF-1.11", "title": "readings"})
     if kind in ("metres", "degrees"):
         dataset.attrs["featureType"] = "timeSeries" if fixed else "trajectory"
-    dataset["sensor"] = ((instance,), np.array(sensors, dtype=object), {"cf_role": f"{feature}_id"})
+    dataset["sensor"] = (
+        (instance,),
+        np.array(sensors, dtype=object),
+        {"cf_role": f"{feature}_id", "long_name": "name of the sensor"},
+    )
     dataset["sensor_index"] = (("obs",), owners, {"instance_dimension": instance, "long_name": "sensor of the reading"})
     units = list(dict.fromkeys(table.text("unit")))
     for role, column in table.numbers.items():
@@ -225,7 +229,8 @@ def _attributes(table: Table, role: str) -> dict[str, str]:
     """Return the attributes of a column."""
     if role in ("time", "arrives"):
         date = None if table.epoch is None else written_date(table.epoch.astimezone(UTC), 0.0)
-        said = {"units": "s"} if date is None else {"units": f"seconds since {date}", "calendar": "standard"}
+        dated = {"calendar": "standard", "units_metadata": "leap_seconds: none"}
+        said = {"units": "s"} if date is None else {"units": f"seconds since {date}", **dated}
         name = "time" if role == "time" else "time at which the reading became known"
         return said | {"long_name": name} | ({"standard_name": "time", "axis": "T"} if date and role == "time" else {})
     named = {"standard_name": STANDARD_NAMES[role]} if role in STANDARD_NAMES else {}
