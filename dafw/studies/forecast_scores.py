@@ -114,14 +114,14 @@ def scores_of(forecasts: Dataset, where: str = "forecast.nc") -> Dataset:
         scores[f"reliability_{part}"] = DataArray(values, dims=(*DIMS, "bin"))
     if "area" in forecasts.dims:
         scores = scores.assign(_of_areas(forecasts))
-    for name in scores.data_vars:
-        score, _, rival = str(name).rpartition("_")
+    for label, variable in scores.data_vars.items():
+        score, _, rival = str(label).rpartition("_")
         if rival in RIVALS:
             units, title = TITLES[score]
-            scores[name].attrs |= {"units": units, "long_name": f"{title}, forecast '{rival}'"}
-        elif name in TITLES:
-            units, title = TITLES[str(name)]
-            scores[name].attrs |= {"units": units, "long_name": title}
+            variable.attrs |= {"units": units, "long_name": f"{title}, forecast '{rival}'"}
+        elif label in TITLES:
+            units, title = TITLES[str(label)]
+            variable.attrs |= {"units": units, "long_name": title}
     return scores
 
 
