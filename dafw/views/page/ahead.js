@@ -22,12 +22,11 @@ export class Ahead {
     const [left, right, bottom, top] = maps.extent;
     this.layers.style.aspectRatio = `${right - left} / ${top - bottom}`;
     this.caption = element("span", {});
-    const figure = element("figure", { class: "map", "data-key": "ahead" }, [
+    this.figure = element("figure", { class: "map", "data-key": "ahead" }, [
       element("figcaption", {}, ["Probability of exceedance", this.caption]),
       this.layers,
     ]);
     this.table = element("div", { class: "table", tabindex: "0" });
-    this.room.querySelector(".maps").append(figure, this.table);
     this.overlay = new Overlay(walls, over, data, maps.extent, "ahead");
     this.context = this.under.getContext("2d");
     for (const id of ["threshold", "lead"]) this.select(id).addEventListener("change", () => this.draw());
@@ -45,6 +44,7 @@ export class Ahead {
       this.draw();
       return;
     }
+    this.room.querySelector(".maps").append(this.figure, this.table);
     this.room.hidden = false;
     this.select("lead").value = String(forecasts.leads.length - 1);
     this.retint();
