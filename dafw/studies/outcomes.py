@@ -87,6 +87,7 @@ def joined_results(
         ("folder", "folder of a run in that of the study"),
     ):
         joined[name].attrs["long_name"] = long_name
+    joined["seed"].attrs["units"] = "1"
     return joined
 
 

@@ -20,7 +20,7 @@ import shapely
 from browser import differ, open_page
 from playwright.sync_api import expect
 from served import ask, served
-from waiting import PATIENCE
+from waiting import PATIENCE, until
 
 from dafw.commands import main
 from dafw.core.composition import compose, study_part
@@ -333,7 +333,11 @@ def test_release_and_drone_are_placed_in_a_browser(browser, preview):
         expect(page.find("#refused")).to_be_hidden()
         moved = [start[0] + 2.0, start[1] + 10.0]
         expect(page.find("#places input[type=number]").nth(2)).to_have_value(f"{moved[0]:g}")
-        assert composed(page.text("#command"))["vehicle"]["start"] == [pytest.approx(moved)]
+
+        def has_moved():
+            return composed(page.text("#command"))["vehicle"]["start"] == [pytest.approx(moved)]
+
+        until(has_moved, "the command with the drone where the keys have moved it")
         page.find("#places input[type=number]").nth(2).fill("-70")
         page.find("#places input[type=number]").nth(3).fill("-50")
         page.find("#places input[type=number]").nth(3).press("Enter")

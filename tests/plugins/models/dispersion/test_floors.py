@@ -24,6 +24,7 @@ ORDER = (
     "sources",
     "wind_change",
     "unknowns",
+    "on_mesh",
     "model",
 )
 """Folders and modules, the lowest first; no module imports a later one."""
