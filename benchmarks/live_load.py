@@ -18,20 +18,18 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import shutil
-import socket
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import psutil
 
+from benchmarks.broker import broker, free_port
 from dafw.core.composition import compose, study_part
 from dafw.core.cycle import TRUTH_ERROR
 from dafw.core.experiment import study_from
@@ -39,33 +37,6 @@ from dafw.core.runs import summary_of
 from dafw.plugins.readings.feed.mqtt import Broker, BrokerOptions
 
 PATIENCE = 600.0
-
-
-def free_port() -> int:
-    """Return a port of the loopback device that nobody uses."""
-    with socket.socket() as one:
-        one.bind(("127.0.0.1", 0))
-        return int(one.getsockname()[1])
-
-
-@contextmanager
-def mosquitto(folder: Path, port: int) -> Iterator[subprocess.Popen[bytes]]:
-    """Start a broker that this machine alone can reach, and end it with the block."""
-    program = shutil.which("mosquitto") or shutil.which("mosquitto", path="/usr/sbin")
-    if program is None:
-        raise SystemExit("live_load: there is no broker: mosquitto is not installed")
-    settings = folder / "broker.conf"
-    settings.write_text(f"listener {port} 127.0.0.1\nallow_anonymous true\nset_tcp_nodelay true\n")
-    with subprocess.Popen([program, "-c", settings], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
-        try:
-            while True:
-                with socket.socket() as one:
-                    if one.connect_ex(("127.0.0.1", port)) == 0:
-                        break
-                time.sleep(0.05)
-            yield process
-        finally:
-            process.terminate()
 
 
 class Sensors:
@@ -168,12 +139,12 @@ def main(words: Sequence[str] | None = None) -> int:
         sensors = Sensors(given, asked.sensors, asked.sd)
         live = ["readings=live", "readings.source=mqtt", f"readings.mqtt.port={port}", f"readings.patience={PATIENCE}"]
         command = [sys.executable, "-m", "dafw", "run", *given, *live, f"hydra.run.dir={place / 'run'}"]
-        with mosquitto(place, port) as broker:
+        with broker(place, port) as server:
             link = Broker(BrokerOptions(port=port), "dafw/advice")
             watched = Watched(link, sensors.dt)
             with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as run:
                 try:
-                    sent = _send(asked, sensors, link, watched, run, broker)
+                    sent = _send(asked, sensors, link, watched, run, server)
                     said = run.communicate(timeout=PATIENCE)[1]
                 finally:
                     run.kill()
@@ -201,7 +172,7 @@ def _send(
     link: Broker,
     watched: Watched,
     run: subprocess.Popen[str],
-    broker: subprocess.Popen[bytes],
+    server: subprocess.Popen[bytes],
 ) -> int:
     """Send what the sensors read, at its time, and print a row for every tenth of it; return how much was sent."""
     while watched.cycle < 0:
@@ -219,7 +190,7 @@ def _send(
     def show(until: float) -> None:
         clock, processor = watched.most(shown, until)
         lags = ("-" if asked.speed == 0.0 else f"{clock:.2f}", f"{processor:.2f}")
-        print(row.format(f"{until:g}", sent, *lags, f"{resident(run.pid):.0f}", f"{resident(broker.pid):.1f}"))
+        print(row.format(f"{until:g}", sent, *lags, f"{resident(run.pid):.0f}", f"{resident(server.pid):.1f}"))
         sys.stdout.flush()
 
     for cycle in range(round(asked.seconds / sensors.dt)):

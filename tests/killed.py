@@ -4,7 +4,10 @@
 """
 
 import gc
+import subprocess
+import sys
 import warnings
+from pathlib import Path
 
 import pytest
 
@@ -36,3 +39,14 @@ def killed(monkeypatch, call, cycle):
     monkeypatch.setattr(running, "advance", advance)
     if not ended:
         pytest.fail(f"the run has fewer than {cycle} cycles")
+
+
+def log_of_kills(benchmark, kills):
+    """Run ``python -m BENCHMARK``, which kills runs and lets them go on; return the head and the rows of its log."""
+    command = [sys.executable, "-m", benchmark, "--kills", str(kills), "--seed", "7"]
+    root = Path(__file__).parent.parent
+    done = subprocess.run(command, cwd=root, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    head, *rows, last = done.stdout.splitlines()
+    assert len(rows) == kills and last == f"{kills} of {kills} identical"
+    return head, rows

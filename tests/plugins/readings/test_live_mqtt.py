@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
-import socket
 import subprocess
 import sys
 import threading
@@ -15,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.broker import MOSQUITTO, broker, free_port
 from dafw import Study
 from dafw.core.errors import ConfigurationError, ReadingsError
 from dafw.plugins.filters.etkf import ETKF
@@ -27,37 +26,9 @@ from dafw.plugins.readings.twin import Twin
 from dafw.studies.running import run_study
 from dafw.studies.simulating import Advised, Simulation, line_of
 
-MOSQUITTO = shutil.which("mosquitto") or shutil.which("mosquitto", path="/usr/sbin")
 pytestmark = pytest.mark.skipif(MOSQUITTO is None, reason="there is no broker: mosquitto is not installed")
 PATIENCE = 60.0
 ROOT = Path(__file__).parents[3]
-
-
-def free_port():
-    with socket.socket() as one:
-        one.bind(("127.0.0.1", 0))
-        return one.getsockname()[1]
-
-
-@contextmanager
-def broker(folder, port, *lines):
-    """Start a broker on the loopback device, and end it with the block."""
-    settings = folder / "broker.conf"
-    text = [f"listener {port} 127.0.0.1", *(lines or ["allow_anonymous true"]), "set_tcp_nodelay true"]
-    text += ["user root"] if os.geteuid() == 0 else []  # who could not read the files of a test otherwise
-    settings.write_text("\n".join(text) + "\n")
-    with subprocess.Popen([MOSQUITTO, "-c", settings], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
-        deadline = time.monotonic() + PATIENCE
-        while True:
-            with socket.socket() as one:
-                if one.connect_ex(("127.0.0.1", port)) == 0:
-                    break
-            assert process.poll() is None and time.monotonic() < deadline
-            time.sleep(0.02)
-        try:
-            yield process
-        finally:
-            process.terminate()
 
 
 @contextmanager

@@ -73,9 +73,8 @@ class Feed:
                 self._tail = entries_of(path, state.entries)
             elif state.entries:
                 raise ReadingsError(f"{path}: is no journal, and {state.entries} entries were taken from one")
-        self._ahead = next(
-            self._tail, None
-        )  # raises for a journal that was cut short, before it is opened to be written
+        # Before the journal is opened to be written: this raises if it was cut short.
+        self._ahead = next(self._tail, None)
         if folder is not None:
             self._journal = Journal(folder / FILE, zero, client)
 
