@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from importlib import import_module
 
 from dafw.commands.mpirun import run_on_all_ranks, shares
-from dafw.core.errors import DafwError, is_request
+from dafw.core.errors import DafwError, in_one_line, is_request
 
 COMMANDS = (
     "run",
@@ -115,7 +115,7 @@ def said(error: Exception) -> str | None:
 
         failure = by_plugin(error)
         return said(failure) if failure else None
-    return " ".join(str(error).split())
+    return in_one_line(error)
 
 
 def _refuse(message: str, status: int = 2) -> int:

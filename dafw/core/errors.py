@@ -96,6 +96,11 @@ def is_request(error: BaseException) -> bool:
     return isinstance(error, OSError) and error.errno not in DISK_FAILURES
 
 
+def in_one_line(error: BaseException, longest: int | None = None) -> str:
+    """Return the text of an error without line ends, of at most ``longest`` characters."""
+    return " ".join(str(error).split())[:longest]
+
+
 @contextmanager
 def about_member(member: int) -> Iterator[None]:
     """Mark errors raised in the block as being about ``member``, its number in the array that the model was given."""

@@ -15,7 +15,7 @@ from multiprocessing.connection import wait
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dafw.core.errors import ComputationError, RunError
+from dafw.core.errors import ComputationError, RunError, in_one_line
 from dafw.core.files import write_atomically
 from dafw.core.runs import summary_of
 from dafw.core.workers import Outcome, Worker, dismiss, outcome
@@ -81,7 +81,7 @@ def run_task(task: Task) -> Outcome:
     with contextlib.redirect_stderr(io.StringIO()):
         done = outcome("the run", lambda: _run(task))
     if done.error is not None:
-        message = " ".join(str(done.error).split())
+        message = in_one_line(done.error)
         note_failure(task, message)
         return Outcome(message)
     return Outcome("")

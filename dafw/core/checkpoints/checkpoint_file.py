@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from dafw.core.errors import CheckpointError
+from dafw.core.errors import CheckpointError, in_one_line
 from dafw.core.files import atomic_file
 
 FOLDER = "checkpoint"
@@ -85,8 +85,9 @@ def read_checkpoint(path: Path) -> Checkpoint:
         told = json.loads(arrays.pop(TOLD).tobytes())
         form, version, cycle = told["format"], told["version"], told["cycle"]
     except FAILURES as error:
-        said = " ".join(str(error).split())[:200]
-        raise CheckpointError(f"{path}: is damaged ({type(error).__name__}: {said})") from error
+        raise CheckpointError(
+            f"{path}: is damaged ({type(error).__name__}: {in_one_line(error, longest=200)})"
+        ) from error
     if (form, version) != (FORMAT, VERSION):
         raise CheckpointError(f"{path}: is a '{form}' of version {version}, expected '{FORMAT}' of version {VERSION}")
     if wrong := [name for name, kind in TOLD_OF.items() if not isinstance(told.get(name), kind)]:

@@ -19,7 +19,7 @@ from zlib import crc32
 
 import numpy as np
 
-from dafw.core.errors import CheckpointError
+from dafw.core.errors import CheckpointError, in_one_line
 
 ROWS, FORECASTS = "rows.journal", "forecasts.journal"
 """The journals of run.nc and of forecast.nc."""
@@ -84,5 +84,6 @@ def entries(path: Path, length: int) -> Iterator[tuple[dict[str, Any], dict[str,
                     place += array.nbytes
                 yield text["told"], arrays
     except (OSError, ValueError, LookupError, TypeError, RecursionError, MemoryError, struct.error) as error:
-        said = " ".join(str(error).split())[:200]
-        raise CheckpointError(f"{path}: is damaged ({type(error).__name__}: {said})") from error
+        raise CheckpointError(
+            f"{path}: is damaged ({type(error).__name__}: {in_one_line(error, longest=200)})"
+        ) from error

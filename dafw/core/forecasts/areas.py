@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from dafw.core.domain import Domain
-from dafw.core.errors import ConfigurationError
+from dafw.core.errors import ConfigurationError, in_one_line
 from dafw.core.forecasts.plan import ForecastPlan
 from dafw.core.geography import to_metres
 from dafw.core.interpolation import weights_at
@@ -226,8 +226,8 @@ def _from_file(path: Path, origin: tuple[float, float] | None) -> list[Area]:
         try:
             polygon = shapely.from_geojson(json.dumps(geometry))
         except (shapely.errors.GEOSException, ValueError) as error:
-            reason = " ".join(str(error).split())
-            raise ConfigurationError(f"{where}: area '{name}': cannot be read as GeoJSON ({reason})") from None
+            text = f"{where}: area '{name}': cannot be read as GeoJSON ({in_one_line(error)})"
+            raise ConfigurationError(text) from None
         if not np.isfinite(shapely.get_coordinates(polygon)).all():
             raise ConfigurationError(f"{where}: area '{name}': expected finite numbers")
         moved = shapely.transform(polygon, lambda degrees, called=name: _in_metres(called, degrees, origin))
