@@ -8,7 +8,8 @@ import { formatNumber, tickLabel, withUnits } from "./format.js";
 import { Overlay } from "./overlay.js";
 
 const COLOURS = "viridis";
-const TIMES = " The table has the probability that an area is reached, and after how long it is, by probability.";
+const TIMES =
+  " The table has the probability that an area is reached, and the times by which it has been reached with 10 %, 50 %, ... probability.";
 
 /** Shows, at every time of the run, the latest forecast that had been made. */
 export class Ahead {
