@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from time import perf_counter
 from typing import Self
 
@@ -62,7 +63,7 @@ class Parts:
     late_readings: str = "drop"
     truth_view: View | None = None
 
-    @property
+    @cached_property
     def rerun(self) -> Rerun:
         """What runs the model again."""
         return Rerun(self.model, self.executor, self.streams)

@@ -57,12 +57,7 @@ class Candidates:
             for one in fields(self)
             if one.name != "now"
         }
-        mine, theirs = self.now.memory, other.now.memory
-        memory = None
-        if mine is not None and theirs is not None:
-            memory = {name: np.concatenate([mine[name], theirs[name]]) for name in mine}
-        members = np.concatenate([self.now.ensemble.members, other.now.ensemble.members])
-        return Candidates(**arrays, now=Forecast(self.now.ensemble.with_members(members), memory))
+        return Candidates(**arrays, now=joined_forecasts(self.now, other.now))
 
     def to_memory(self) -> dict[str, Any]:
         """Return everything as named arrays."""
@@ -107,6 +102,15 @@ def rows(forecast: Forecast, indices: IntArray) -> Forecast:
     memory = forecast.memory
     part = None if memory is None else {name: np.asarray(array)[indices] for name, array in memory.items()}
     return Forecast(forecast.ensemble.with_members(forecast.ensemble.members[indices]), part)
+
+
+def joined_forecasts(one: Forecast, other: Forecast) -> Forecast:
+    """Return the members of two forecasts, without weights, with their memory if both have one."""
+    memory = None
+    if one.memory is not None and other.memory is not None:
+        memory = {name: np.concatenate([one.memory[name], other.memory[name]]) for name in one.memory}
+    members = np.concatenate([one.ensemble.members, other.ensemble.members])
+    return Forecast(one.ensemble.with_members(members), memory)
 
 
 def first_candidates(window: Window, controls: Controls, likelihood: Likelihood) -> Candidates:
