@@ -36,7 +36,6 @@ from dafw.plugins.readings.files.placing import (
 )
 from dafw.plugins.readings.files.screening import (
     REASONS,
-    averaged,
     complete,
     converted,
     in_study_time,
@@ -49,6 +48,7 @@ from dafw.plugins.readings.files.screening import (
 from dafw.plugins.readings.files.sensors import (
     REPEATED,
     SensorOptions,
+    averaged,
     censored,
     sensors_of,
     undone_response,
@@ -56,6 +56,7 @@ from dafw.plugins.readings.files.sensors import (
     without_repeats,
 )
 from dafw.plugins.readings.files.table import Table
+from dafw.plugins.readings.files.units import linear
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +77,7 @@ class Usable:
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """Readings as observations of one state space: ``values`` and ``variances`` (R,) in the variable's units.
+    """Readings as observations of one state space: ``values`` and ``variances`` (R,) in ``units``, the variable's.
 
     ``limits`` (R,) are the detection limits of the readings below them, NaN for all others.
     """
@@ -88,6 +89,7 @@ class Fitted:
     placed: Placed
     arrives: Array
     counts: Mapping[str, int]
+    units: str
 
 
 @dataclass
@@ -108,17 +110,12 @@ class Recorded(SensorOptions, FileOptions, Readings):
     )
     lowest: float | None = option(None, "values below it, in the unit of the file, cannot be and are left out")
     highest: float | None = option(None, "values above it cannot be and are left out")
-    averaging: float | None = option(
-        None,
-        "every sensor's readings become their means over this many seconds from t = 0; null: as they are",
-        above=0.0,
-    )
     entries: dict[str, int] = option({}, "by sensor: the entry of the variable that it reads, from 0", minimum=0)
     paths: dict[str, Any] = option(
         {}, "by sensor: the line along which it reads the mean of the variable, [[x, y], [x, y]] in metres"
     )
     sensors: dict[str, Any] = option(
-        {}, "by sensor: a mapping with its own sd, relative_sd, background, detection_limit, response_time"
+        {}, "by sensor: a mapping with its own sd, relative_sd, background, detection_limit, response_time, averaging"
     )
 
     @classmethod
@@ -155,7 +152,7 @@ class Recorded(SensorOptions, FileOptions, Readings):
         start = start_of(table, self.start)
         sensors = sensors_of(table, self, self.sensors, "readings 'recorded'")
         table = require_computable(with_errors(in_study_time(table, start), sensors))
-        table, repeated = without_repeats(averaged(table, self.averaging), self.repeated)
+        table, repeated = without_repeats(averaged(table, sensors), self.repeated)
         table, slow = undone_response(table, sensors)
         table, below = censored(table, sensors)
         dropped = 0 if self.repeated == "keep" else repeated
@@ -204,7 +201,7 @@ class Recorded(SensorOptions, FileOptions, Readings):
         late = table.number("arrives")
         arrives = np.where(np.isnan(late), table.number("time"), late)
         limits = np.where(table.number("below") == 1.0, 2.0 * values[free], np.nan)  # the value is half the limit
-        fitted = Fitted(table, values[free], sd[free] ** 2, limits, at, arrives, counts)
+        fitted = Fitted(table, values[free], sd[free] ** 2, limits, at, arrives, counts, variable.units)
         self.__dict__["_kept"] = (space, domain, fitted)
         return fitted
 
@@ -245,4 +242,8 @@ class Recorded(SensorOptions, FileOptions, Readings):
         parts += [f"{self.usable.below} below the detection limit"] if self.usable.below else []
         if not all(fitted.table.text("unit")):
             parts += ["values without a unit are taken in that of the variable"]
+        if self.reference is None and fitted.units in ("", "1"):  # a share of what? often not of what the file means
+            units = [one for one in dict.fromkeys(fitted.table.text("unit")) if one]
+            factors = {unit: linear(unit, "1")[1] for unit in units}
+            parts += [f"1 {unit} is taken as {factor:g}" for unit, factor in factors.items() if factor != 1.0]
         return [f"{self.label}: {', '.join(parts)}"]

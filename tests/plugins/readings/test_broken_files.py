@@ -170,6 +170,10 @@ NETCDF = {
         series(value=("obs", [1.0, 2, 3], {"units": "zork"})),
         "column 'value': the unit 'zork' is not known",
     ),
+    "profiles": (
+        series().assign_attrs(featureType="profile"),
+        "expected the featureType timeSeries, trajectory or point, got 'profile'",
+    ),
     "since never": (
         series(time=("obs", [1.0, 2, 3], {"units": "seconds since never"})),
         "column 'time': expected units 'seconds since' a date in ISO 8601, got 'seconds since never'",

@@ -208,6 +208,35 @@ def test_every_sensor_has_its_own_errors(tmp_path):
         collected(recorded(tmp_path, text, sensors={"c": {}}))
 
 
+def test_every_sensor_is_averaged_over_its_own_time(tmp_path):
+    rows = [(n, name) for n in range(1, 7) for name in "abc"]
+    text = "time,x,y,value,sensor\n" + "".join(f"{n},0,0,{n},{name}\n" for n, name in rows)
+    source = recorded(tmp_path, text, averaging=2.0, sensors={"b": {"averaging": 3.0}, "c": {"averaging": None}})
+    source.suit(SPACE, GROUND, 1.0)
+    table, found = source.usable.table, {}
+    np.testing.assert_array_equal(table.number("time"), np.sort(table.number("time")))
+    for time, name, value, sd in zip(
+        table.number("time"), table.text("sensor"), table.number("value"), table.number("sd"), strict=True
+    ):
+        found.setdefault(name, []).append((time, value, sd))
+    few, more = 0.5 / np.sqrt(2.0), 0.5 / np.sqrt(3.0)
+    np.testing.assert_allclose(found["a"], [(2, 1.5, few), (4, 3.5, few), (6, 5.5, few)], rtol=1e-12)
+    np.testing.assert_allclose(found["b"], [(3, 2.0, more), (6, 5.0, more)], rtol=1e-12)
+    assert found["c"] == [(n, n, 0.5) for n in range(1, 7)]
+
+
+def test_a_share_of_something_else_is_said(tmp_path):
+    """A concentration relative to a release has the unit 1, into which ppm can be converted without a word."""
+    relative = StateSpace([Variable("gas", 4, units="1", coordinates=NODES)])
+    text = "time,x,y,value,unit\n1,0,0,5,ppm\n2,0,0,1,1\n"
+    source = recorded(tmp_path, text)
+    source.suit(relative, GROUND, 1.0)
+    assert "1 ppm is taken as 1e-06" in source.notes()[0] and source.notes()[0].count("is taken as") == 1
+    told = recorded(tmp_path, text, reference="10 ppm")
+    told.suit(relative, GROUND, 1.0)
+    assert "is taken as" not in told.notes()[0]
+
+
 def test_a_slow_sensor_is_undone_exactly(tmp_path):
     # The twin's own slow sensor, at one node whose concentration jumps about: its noise is the only difference.
     rng, fields, memory = np.random.default_rng(1), [], {}

@@ -16,7 +16,7 @@ import numpy as np
 from dafw.core.errors import ReadingsError
 from dafw.plugins.readings.files.cells import Raw, find_columns, made
 from dafw.plugins.readings.files.options import FileOptions
-from dafw.plugins.readings.files.table import Table, about, written_date
+from dafw.plugins.readings.files.table import Table, about, shown, written_date
 from dafw.plugins.readings.files.times import parsed_date
 from dafw.plugins.readings.files.units import linear
 
@@ -30,6 +30,8 @@ STANDARD_NAMES = {
 }
 LARGEST = 2_000_000_000
 """Bytes that the variables of a file may have."""
+FEATURES = ("timeseries", "trajectory", "point")
+"""Kinds of features that are read, in small letters as CF compares them; a file need not name its kind."""
 EXACT = 2**53
 """Up to here every whole number is a floating-point number."""
 IDS = ("timeseries_id", "trajectory_id")
@@ -56,6 +58,9 @@ def read_netcdf(path: Path, options: FileOptions) -> Table:
 
 
 def _table(dataset: Any, name: str, options: FileOptions) -> Table:
+    kind = str(dataset.attrs.get("featureType", FEATURES[0]))
+    if kind.lower() not in FEATURES:
+        raise about(name, f"expected the featureType timeSeries, trajectory or point, got {shown(kind)}")
     headers = _headers(dataset, options, name)
     sought = list(headers)
     found = {role: headers[sought[n]] for role, n in find_columns(sought, options.columns, name).items()}

@@ -54,29 +54,6 @@ def possible(table: Table, lowest: float | None, highest: float | None) -> tuple
     return table.chosen(inside), int((~inside).sum())
 
 
-def averaged(table: Table, span: float | None) -> Table:
-    """Return the table, sorted by time, with the means of every sensor over spans of ``span`` seconds from t = 0.
-
-    A mean has the time of its span's end, when it is known. The errors of single readings are taken to be independent.
-    Places, where there are any, are averaged too. None: the table as it is.
-    """
-    if span is None or not len(table):
-        return table
-    number = np.ceil(table.number("time") / span - 1e-9)
-    names = {name: place for place, name in enumerate(dict.fromkeys(table.text("sensor")))}
-    sensor = np.array([names[name] for name in table.text("sensor")])
-    _, first, group = np.unique(np.stack([number, sensor]), axis=1, return_index=True, return_inverse=True)
-    count = np.bincount(group.ravel())
-    means = {}
-    for role, column in table.numbers.items():
-        if role == "sd":
-            means[role] = np.sqrt(np.bincount(group.ravel(), column**2)) / count
-        elif role != "entry":
-            means[role] = np.bincount(group.ravel(), column) / count
-    kept = table.chosen(first)
-    return kept.changed(**means | {role: number[first] * span for role in ("time", "arrives") if role in means})
-
-
 def require_computable(table: Table) -> Table:
     """Return the table; raises ReadingsError for a number whose square is none."""
     for role in ("value", "sd"):

@@ -1,4 +1,4 @@
-"""What sensors do to readings: background, noise, readings at the same time, a slow response, a detection limit.
+"""What sensors do to readings: background, noise, means, readings at one time, a slow response, a detection limit.
 
 A slow sensor of the first order with the response time T shows z where it meets c:
 
@@ -46,9 +46,12 @@ class ErrorOptions:
 
 @dataclass
 class SensorOptions(ErrorOptions):
-    """The errors of a sensor that may follow slowly."""
+    """The errors of a sensor that may follow slowly, and over how long its readings are averaged."""
 
     response_time: float = option(0.0, "time constant with which the sensor follows what it meets, s", minimum=0.0)
+    averaging: float | None = option(
+        None, "a sensor's readings become their means over this many seconds from t = 0; null: as they are", above=0.0
+    )
 
 
 def sensors_of(table: Table, common: SensorOptions, own: Mapping[str, Any], where: str) -> dict[str, SensorOptions]:
@@ -96,6 +99,34 @@ def without_repeats(table: Table, repeated: str) -> tuple[Table, int]:
                 part = table.numbers[role][rows]
                 column[place] = np.sqrt(np.sum(part**2)) / len(rows) if role == "sd" else part.mean()
     return kept.changed(**means), more
+
+
+def averaged(table: Table, sensors: Mapping[str, SensorOptions]) -> Table:
+    """Return the table, sorted by time, with means over spans of the sensor's ``averaging`` seconds from t = 0.
+
+    A mean has the time of its span's end, when it is known. The errors of single readings are taken to be independent.
+    Places, where there are any, are averaged too. Readings of sensors without ``averaging`` stay as they are.
+    """
+    span = _of_rows(table, lambda name: sensors[name].averaging or np.nan)
+    spanned = ~np.isnan(span)
+    if not spanned.any():
+        return table
+    number = np.where(spanned, np.ceil(table.number("time") / span - 1e-9), np.arange(len(table)))
+    names = {name: place for place, name in enumerate(dict.fromkeys(table.text("sensor")))}
+    sensor = np.array([names[name] for name in table.text("sensor")])
+    _, first, group = np.unique(np.stack([number, sensor]), axis=1, return_index=True, return_inverse=True)
+    count = np.bincount(group.ravel())
+    means: dict[str, Array] = {}
+    for role, column in table.numbers.items():
+        if role == "sd":
+            means[role] = np.sqrt(np.bincount(group.ravel(), column**2)) / count
+        elif role != "entry":
+            means[role] = np.bincount(group.ravel(), column) / count
+    ends = {role: number[first] * span[first] for role in ("time", "arrives") if role in means}
+    kept, alone = table.chosen(first), ~spanned[first]
+    columns = {role: np.where(alone, kept.number(role), column) for role, column in (means | ends).items()}
+    averages = kept.changed(**columns)
+    return averages.chosen(np.argsort(averages.number("time"), kind="stable"))
 
 
 def undone_response(table: Table, sensors: Mapping[str, SensorOptions]) -> tuple[Table, int]:
