@@ -222,3 +222,21 @@ def test_fields_of_the_ends_alone_leave_everything_else_as_it_is(filter, tmp_pat
             rows = {"time": [0, 5]} if is_field else {}
             np.testing.assert_array_equal(thin[name].isel(rows), whole[name].isel(rows), err_msg=name)
             assert not is_field or thin[name][1:5].isnull().all(), name
+
+
+def test_readings_are_missing_long_after_the_last_one(tmp_path):
+    """The netCDF library fills too few rows of a variable that was not written up to the last one."""
+    record, _ = record_run(tmp_path / "run.nc", cycles=2)
+    read = {name: np.full(3, 2.0) for name in ("observation_value", "observation_variance")}
+    record._file.write([read])
+    record._file.write([{"err": 1.0} for _ in range(200)])
+    record._file.write([{"observation_value": np.full(9, 3.0)}])
+    record.close()
+    with xarray.open_dataset(tmp_path / "run.nc") as run:
+        assert run.sizes["observation"] == 9
+        value, variance = run["observation_value"].values, run["observation_variance"].values
+    last = int(np.flatnonzero((value == 3.0).all(axis=1))[0])
+    np.testing.assert_array_equal(value[last - 201], [2.0] * 3 + [np.nan] * 6)
+    np.testing.assert_array_equal(value[last], np.full(9, 3.0))
+    assert np.isnan(value[last - 200 : last]).all() and np.isnan(variance[last - 200 : last + 1]).all()
+    assert np.isnan(value[: last - 201, 3:]).all()
