@@ -10,6 +10,7 @@ from dafw import ContractError, Domain, RunError, StateSpace, Variable, Vehicle,
 from dafw.core.cycle import advance, start
 from dafw.core.ensemble import Diagnostic, Route
 from dafw.core.record import Record
+from dafw.core.run_file import READINGS_CACHE
 from dafw.plugins.filters.enks import EnKS
 
 
@@ -98,6 +99,17 @@ def test_it_opens_while_it_is_written(tmp_path):
     record.flush()
     with open_run(tmp_path / "run.nc") as run:
         assert run.sizes["time"] == 4
+    record.close()
+
+
+def test_what_was_written_does_not_stay_in_memory(tmp_path):
+    record, _ = record_run(tmp_path / "run.nc")
+    file = record._file._file
+    over_time = [one for one in file.variables.values() if "time" in one.dimensions]
+    assert len(over_time) > 20
+    # By default HDF5 holds up to 64 MB of each variable until the file is closed, that is, all of most files.
+    assert all(one.get_var_chunk_cache()[0] <= READINGS_CACHE for one in over_time)
+    assert sum(one.get_var_chunk_cache()[0] for one in over_time) < 8_000_000
     record.close()
 
 
