@@ -29,7 +29,7 @@ from paho.mqtt.client import Client
 
 import dafw
 from benchmarks.broker import MOSQUITTO, broker, free_port
-from benchmarks.kills import Ended, at_call, forked, half_an_array
+from benchmarks.kills import Ended, at_call, forked, half_an_array, started
 from dafw import Study
 from dafw.core.checkpoints.plan import CheckpointPlan
 from dafw.core.runs import summary_of
@@ -136,17 +136,17 @@ def written(place: Path, lines: Sequence[str], seconds: float) -> Iterator[None]
 @contextmanager
 def sent(options: BrokerOptions, lines: Sequence[str], seconds: float, begun: Path) -> Iterator[None]:
     """Send lines to a broker during the block, from when the file ``begun`` is there: the run has subscribed."""
-    if not (process := os.fork()):  # no thread, because runs are forked meanwhile
-        try:
-            while not begun.exists():
-                time.sleep(0.02)
-            link = Broker(options, None)
-            for line in lines:
-                link.publish(options.topic, line.encode())
-                time.sleep(seconds)
-            link.close()
-        finally:
-            os._exit(0)
+
+    def send() -> None:
+        while not begun.exists():
+            time.sleep(0.02)
+        link = Broker(options, None)
+        for line in lines:
+            link.publish(options.topic, line.encode())
+            time.sleep(seconds)
+        link.close()
+
+    process = started(send)  # no thread, because runs are forked meanwhile
     try:
         yield
     finally:
