@@ -120,17 +120,18 @@ class Live(FeedOptions, Readings):
         """Keep the folder of the journal, and begin to read what cannot be read again."""
         self._folder, self._asked = folder, asked_to_stop
         self.__dict__.pop("_zero", None)  # of a run before
-        before, inbox = head_of(folder / FILE), inbox_file.head_of(folder / inbox_file.FILE)
+        before, path = head_of(folder / FILE), folder / inbox_file.FILE
         self._known, taken = reached(folder / FILE)
-        heads = [one.client for one in (before, inbox) if one is not None and one.client]
-        self._client = heads[0] if heads else f"dafw-{os.urandom(8).hex()}"
+        heads = [before, inbox_file.head_of(path) if self.source == MQTT else None]
+        names = [one.client for one in heads if one is not None and one.client]
+        self._client = names[0] if names else f"dafw-{os.urandom(8).hex()}"
         if self.clock == "wall":
             linear("ppm", "ppb")  # units are loaded now, not when the first message with one has come
         if self.source == "-":
             self._pipe = Pipe(0)
         elif self.source == MQTT:
-            inbox = Inbox(folder / inbox_file.FILE, taken, self._client)
-            self._broker = Broker(self.mqtt, self.mqtt.topic, self._client, goes_on=bool(heads), inbox=inbox)
+            inbox = Inbox(path, taken, self._client)
+            self._broker = Broker(self.mqtt, self.mqtt.topic, self._client, goes_on=bool(names), inbox=inbox)
         if before is not None:
             print(f"dafw: {self._goes_on()}", file=sys.stderr)
 
