@@ -229,7 +229,8 @@ def main(words: Sequence[str] | None = None) -> int:
                     if kind in MOMENTS:
                         moment, prepare = MOMENTS[kind](rng)
                     else:
-                        after_seconds = rng.uniform(0.2, 0.9) * most
+                        # A run that hears a broker connects and subscribes first.
+                        after_seconds = rng.uniform(*((1.0, 2.5) if by_broker else (0.2, 0.9))) * most
                         moment = f"{after_seconds:.2f}"
                     moments.append(moment)
                     ended = go(folder, options, prepare, after_seconds)
