@@ -15,7 +15,7 @@ import numpy as np
 from dafw.core.diagnostics import error_of
 from dafw.core.ensemble import Ensemble
 from dafw.core.errors import RunError
-from dafw.core.run_file import CACHE
+from dafw.core.run_layout import CACHE
 from dafw.core.runs import open_run
 from dafw.core.space import Array, Kind, StateSpace, Variable
 

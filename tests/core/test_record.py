@@ -10,7 +10,7 @@ from dafw import ContractError, Domain, RunError, StateSpace, Variable, Vehicle,
 from dafw.core.cycle import advance, start
 from dafw.core.ensemble import Diagnostic, Route
 from dafw.core.record import Record
-from dafw.core.run_file import READINGS_CACHE
+from dafw.core.run_layout import READINGS_CACHE
 from dafw.plugins.filters.enks import EnKS
 
 

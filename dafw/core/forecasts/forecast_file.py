@@ -22,7 +22,7 @@ from dafw.core.forecasts.ahead import Ahead, Course
 from dafw.core.forecasts.areas import Places
 from dafw.core.forecasts.chances import chance, exceeded, quantile
 from dafw.core.forecasts.plan import ForecastPlan
-from dafw.core.run_file import CACHE
+from dafw.core.run_layout import CACHE
 from dafw.core.runs import NO_TIME
 from dafw.core.space import Array
 from dafw.core.ugrid import write_domain
