@@ -98,6 +98,39 @@ def test_the_slider_moves_the_time_and_the_maps(page, plant_run):
     assert max(differ(*pair) for pair in zip(before, again, strict=True)) == 0.0
 
 
+def test_a_map_does_not_depend_on_what_was_shown_before(page):
+    canvases = [f".map[data-key={key}] canvas >> nth={layer}" for key in ("truth", "spread") for layer in (0, 1)]
+
+    def shown():
+        return [page.pixels(canvas) for canvas in canvases]
+
+    for row in range(9):  # by small steps, each of which draws only what is new
+        page.go(row)
+    stepped = shown()
+    assert differ(stepped[1], np.zeros_like(stepped[1])) > 0.05, "buildings, route and readings"
+    for row in (20, 0, 8):
+        page.go(row)
+    jumped = shown()
+    page.find("#theme").click()
+    page.find("#theme").click()
+    page.drawn()
+    for one, other, tinted in zip(stepped, jumped, shown(), strict=True):
+        assert differ(one, other) == differ(one, tinted) == 0.0
+
+
+def test_what_is_told_is_up_to_date_as_soon_as_it_stops(page, plant_run):
+    page.find("#speed").select_option("60")
+    page.tab.evaluate("() => { const { player } = window.dafw; player.play(); player.told = Infinity; }")
+    page.tab.wait_for_function("() => window.dafw.player.row >= 3")
+    assert "t = 0 of 100 s" in page.text("#now"), "while it plays, texts change ten times a second, here never"
+    page.tab.keyboard.press("Space")
+    page.drawn()
+    time = plant_run["time"].values[page.tab.evaluate("() => window.dafw.player.row")]
+    assert f"t = {time:g} of 100 s" in page.text("#now")
+    for label in (".map[data-key=mean] canvas >> nth=0", ".chart[data-id=err] canvas"):
+        assert f"t = {time:g} s" in page.find(label).get_attribute("aria-label")
+
+
 def test_a_map_has_the_colours_of_the_values(page, plant_run):
     row = 4
     page.go(row)
@@ -336,6 +369,6 @@ def test_everything_that_can_be_used_has_a_name(page):
 def test_a_page_can_be_measured_and_photographed(browser, plant_folder, tmp_path):
     file = write_report(plant_folder)
     found = measured(browser, file, "phone", loads=1, frames=5)
-    assert found.open > 0.0 and found.draw > 0.0 and len(found.intervals) == 4
+    assert found.open > 0.0 and found.draw > 0.0 and found.processor > 0.0 and len(found.intervals) == 4
     picture(browser, file, tmp_path / "page.png")
     assert imread(tmp_path / "page.png").std() > 0.05

@@ -115,6 +115,7 @@ export class Chart {
   show(row) {
     if (!this.axes) return;
     this.cursor.style.transform = `translateX(${this.axes.toX(this.time.values[row])}px)`;
+    if (!this.player.telling) return;
     const told = this.entries.map(({ line, value }) => {
       const text = withUnits(bounded(line.values[row], this.spec.units), this.spec.units);
       value.textContent = text;
