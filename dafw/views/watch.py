@@ -11,6 +11,7 @@ from typing import Any
 from urllib.parse import SplitResult, parse_qs
 
 from dafw.core.errors import RunError
+from dafw.core.forecasts.forecast_file import FILE as FORECASTS
 from dafw.core.runs import summary_of
 from dafw.views.files import load_run
 from dafw.views.local_server import LocalAnswers, LocalServer
@@ -33,7 +34,7 @@ class Following:
     def __init__(self, folder: Path, clock: Callable[[], float] = time.monotonic) -> None:
         self.folder, self._clock = folder, clock
         self._lock = Lock()
-        self._seen: tuple[float, str] | None = None
+        self._seen: tuple[float, float, str] | None = None
         self._due = 0.0
         self._data: dict[str, Any] | None = None
 
@@ -42,9 +43,12 @@ class Following:
         with self._lock:
             status = str(summary_of(self.folder).get("status", ""))
             try:
-                seen = ((self.folder / "run.nc").stat().st_mtime, status)
+                recorded = (self.folder / "run.nc").stat().st_mtime
             except OSError as error:
                 raise RunError(f"{self.folder}: holds no run (expected a run's folder)") from error
+            # A forecast is made after the row of its time was written, and the next row may be long in coming.
+            ahead = self.folder / FORECASTS
+            seen = (recorded, ahead.stat().st_mtime if ahead.exists() else 0.0, status)
             # What a run ends with is read at once.
             is_due = self._clock() >= self._due or status in ENDED
             if self._data is None or (seen != self._seen and is_due):
@@ -52,7 +56,7 @@ class Following:
             assert self._data is not None
             return self._data
 
-    def _read(self, seen: tuple[float, str]) -> None:
+    def _read(self, seen: tuple[float, float, str]) -> None:
         begun = self._clock()
         try:
             data = page_of_run(load_run(self.folder / "run.nc"), self.folder)
@@ -63,8 +67,10 @@ class Following:
         finally:
             self._due = self._clock() + (self._clock() - begun) / SHARE
         self._seen = seen
-        state = f"{len(data['time']['values'])} {seen[1]}"
-        self._data = data | {"live": {"state": state, "ended": seen[1] in ENDED}}
+        status = seen[-1]
+        issues = len((data["forecasts"] or {"issues": []})["issues"])
+        state = f"{len(data['time']['values'])} {issues} {status}"
+        self._data = data | {"live": {"state": state, "ended": status in ENDED}}
 
 
 class Server(LocalServer):

@@ -10,7 +10,8 @@ import sys
 from contextlib import contextmanager
 
 import pytest
-from browser import open_page
+from browser import differ, open_page
+from made_forecasts import forecasts
 from playwright.sync_api import expect
 from served import ask, served
 from waiting import PATIENCE
@@ -68,6 +69,40 @@ def test_the_page_follows_the_run_for_several_viewers(browser, plant_run, tmp_pa
     assert len(viewers[0].requests) == asked, "a run that has ended is not asked for any more"
     for page in viewers:
         page.tab.context.close()
+
+
+def test_forecasts_come_as_soon_as_they_are_made(browser, plant_run, tmp_path):
+    def foresee(issues):
+        forecasts(plant_run, issues).to_netcdf(tmp_path / "beside.nc")
+        (tmp_path / "beside.nc").rename(tmp_path / "forecast.nc")
+
+    record(plant_run, tmp_path, 3)
+    with served(Server(Following(tmp_path, clock=lambda: 0.0))) as server:  # reading takes no time
+        page = open_page(browser, server.address)
+        assert page.find("#forecast").is_hidden()
+        foresee([10.0])  # the row of its time has been recorded before
+        hint = page.find("#forecast .hint")
+        expect(hint).to_contain_text("Made at t = 10 s", timeout=1000.0 * PATIENCE)
+        page.find("#forecast").scroll_into_view_if_needed()
+        page.find("#forecast-threshold").select_option("1")
+        page.find("#forecast-lead").select_option("0")
+        page.drawn()
+        first = page.pixels("#forecast canvas >> nth=0")
+        record(plant_run, tmp_path, 10)
+        expect(page.find("#now")).to_contain_text("t = 45 of 45 s", timeout=1000.0 * PATIENCE)
+        assert "Made at t = 10 s" in hint.inner_text()
+        foresee([10.0, 45.0])
+        expect(hint).to_contain_text("Made at t = 45 s", timeout=1000.0 * PATIENCE)
+        assert [page.find(f"#forecast-{name}").input_value() for name in ("threshold", "lead")] == ["1", "0"]
+        page.drawn()
+        assert differ(first, page.pixels("#forecast canvas >> nth=0")) > 0.02
+        page.go(2)  # what was known then stays
+        assert "Made at t = 10 s" in hint.inner_text()
+        assert differ(first, page.pixels("#forecast canvas >> nth=0")) == 0.0
+        record(plant_run, tmp_path, 21, "complete")
+        expect(page.find("#subtitle")).to_contain_text("complete", timeout=1000.0 * PATIENCE)
+        assert page.complaints == []
+    page.tab.context.close()
 
 
 def test_a_page_whose_server_is_closed_says_so(browser, ring_run, tmp_path):
