@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
+import os
 import re
 import signal
 import subprocess
@@ -168,6 +170,17 @@ def test_what_cannot_be_read_for_a_moment_is_read_later(plant_run, tmp_path):
     record(plant_run, tmp_path, 4)
     now[0] += 1000.0
     assert len(following.data()["time"]["values"]) == 4
+
+
+def test_a_file_that_another_process_writes_is_read(plant_run, tmp_path):
+    record(plant_run, tmp_path, 3)
+    variables = {name: value for name, value in os.environ.items() if name != "HDF5_USE_FILE_LOCKING"}
+    program = f"from dafw.views.watch import *; print(len(Following(Path({str(tmp_path)!r})).data()['time']['values']))"
+    with (tmp_path / "run.nc").open("rb") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)  # as HDF5 locks what it writes
+        command = [sys.executable, "-c", program]
+        done = subprocess.run(command, env=variables, capture_output=True, text=True, timeout=PATIENCE)
+    assert (done.stdout, done.stderr) == ("3\n", "")
 
 
 def test_the_command_follows_a_real_run_to_its_end_and_closes_on_an_interrupt(browser, tmp_path):
