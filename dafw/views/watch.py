@@ -21,7 +21,7 @@ from dafw.views.report_run import page_of_run
 ENDED = ("complete", "failed")
 """States of a run to which nothing is added any more. One that goes on is 'interrupted' until it has ended."""
 SHARE = 0.1
-"""The share of the time that reading the run may take, so that a large one is not slowed down by who looks at it."""
+"""The share of a processor that reading the run may take, so that a large one is not slowed down by who looks at it."""
 PAUSE = 0.5
 """Seconds between two looks for a run that has not begun."""
 PATIENCE = 10
@@ -29,10 +29,18 @@ PATIENCE = 10
 
 
 class Following:
-    """What is known of a run that may go on, read anew when its files have changed; all viewers share it."""
+    """What is known of a run that may go on, read anew when its files have changed; all viewers share it.
 
-    def __init__(self, folder: Path, clock: Callable[[], float] = time.monotonic) -> None:
-        self.folder, self._clock = folder, clock
+    ``clock`` tells the time, ``used`` the processor's time that reading has taken, both in seconds.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        clock: Callable[[], float] = time.monotonic,
+        used: Callable[[], float] = time.thread_time,
+    ) -> None:
+        self.folder, self._clock, self._used = folder, clock, used
         self._lock = Lock()
         self._seen: tuple[float, float, str] | None = None
         self._due = 0.0
@@ -57,7 +65,7 @@ class Following:
             return self._data
 
     def _read(self, seen: tuple[float, float, str]) -> None:
-        begun = self._clock()
+        begun, is_first = self._used(), self._data is None
         try:
             data = page_of_run(load_run(self.folder / "run.nc"), self.folder)
         except RunError:
@@ -65,7 +73,8 @@ class Following:
                 raise
             return  # the run is writing just now: what was read before stays until the next question
         finally:
-            self._due = self._clock() + (self._clock() - begun) / SHARE
+            # The first reading loads the libraries, too, and says nothing of the next ones.
+            self._due = self._clock() + (0.0 if is_first else (self._used() - begun) / SHARE)
         self._seen = seen
         status = seen[-1]
         issues = len((data["forecasts"] or {"issues": []})["issues"])

@@ -100,3 +100,10 @@ def test_forecasts_that_cannot_be_read_are_named(plant_run, tmp_path):
     (tmp_path / "forecast.nc").write_bytes(b"no netCDF")
     with pytest.raises(RunError, match=r"forecast\.nc: cannot be read"):
         forecasts_of(plant_run, tmp_path)
+
+
+@pytest.mark.parametrize("missing", ["issue", "exceedance_probability", "area_arrival_time"])
+def test_a_file_that_a_run_is_just_making_is_no_reason_to_end(missing, plant_run, tmp_path):
+    forecasts(plant_run).drop_vars(missing).to_netcdf(tmp_path / "forecast.nc")
+    with pytest.raises(RunError, match=rf"forecast\.nc: .*{missing}"):
+        forecasts_of(plant_run, tmp_path)

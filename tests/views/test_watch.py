@@ -79,7 +79,7 @@ def test_forecasts_come_as_soon_as_they_are_made(browser, plant_run, tmp_path):
         (tmp_path / "beside.nc").rename(tmp_path / "forecast.nc")
 
     record(plant_run, tmp_path, 3)
-    with served(Server(Following(tmp_path, clock=lambda: 0.0))) as server:  # reading takes no time
+    with served(Server(Following(tmp_path, used=lambda: 0.0))) as server:  # reading takes no time
         page = open_page(browser, server.address)
         assert page.find("#forecast").is_hidden()
         foresee([10.0])  # the row of its time has been recorded before
@@ -144,12 +144,14 @@ def test_reading_takes_a_small_share_of_the_time(plant_run, tmp_path, monkeypatc
 
     load = watch.load_run
     monkeypatch.setattr(watch, "load_run", read)
-    following = Following(tmp_path, clock=lambda: now[0])
+    following = Following(tmp_path, clock=lambda: now[0], used=lambda: now[0])
     record(plant_run, tmp_path, 3)
     assert len(following.data()["time"]["values"]) == 3
+    record(plant_run, tmp_path, 4)
+    assert len(following.data()["time"]["values"]) == 4, "the first reading does not count"
     record(plant_run, tmp_path, 5)
     now[0] += 10.0
-    assert len(following.data()["time"]["values"]) == 3, "a reading took 2 s, so the next is due after 20"
+    assert len(following.data()["time"]["values"]) == 4, "a reading took 2 s, so the next is due after 20"
     now[0] += 10.5
     assert len(following.data()["time"]["values"]) == 5
     record(plant_run, tmp_path, 6, "failed")

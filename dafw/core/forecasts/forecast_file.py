@@ -284,4 +284,7 @@ def open_forecasts(path: str | Path) -> Any:
         found = xarray.open_dataset(file, engine="netcdf4", decode_times=False)
     except (OSError, ValueError) as error:
         raise RunError(f"{file}: cannot be read as netCDF ({' '.join(str(error).split())})") from error
+    if "issue" not in found.variables:  # a run is making the file just now, or it is another one
+        found.close()
+        raise RunError(f"{file}: holds no forecasts (expected the variable 'issue')")
     return found.isel(issue=np.flatnonzero(found["issue"].values < NO_TIME))
