@@ -65,6 +65,7 @@ def test_it_opens_from_a_disk_and_asks_for_nothing(page):
     assert [key.get_attribute("data-key") for key in page.find(".map").all()] == ["truth", "mean", "free", "spread"]
     charts = [key.get_attribute("data-id") for key in page.find(".chart").all()]
     assert {"err", "wind_speed", "wind_direction", "total", "innovation_rms", "ranks", "scores"} <= set(charts)
+    assert "where it blows to" in page.text(".chart[data-id=wind_direction] h3")
 
 
 def test_the_page_could_not_reach_a_network_if_it_wanted_to(page):
@@ -319,6 +320,12 @@ def test_a_run_with_one_row_and_one_with_two_fields_open(show, plant_run):
     page = show(ends)
     page.go(10)
     assert page.find(".map[data-key=truth] figcaption").inner_text().split() == ["Truth", "of", "t", "=", "0", "s"]
+    pale = "(canvas) => getComputedStyle(canvas).opacity < 0.5"
+    assert page.find(".map[data-key=truth] canvas >> nth=0").evaluate(pale)
+    at_place(page, "mean", 430.0, 390.0, ends)
+    assert "recorded at 2 of 21 times" in page.text(".chart[data-id=place] h3")
+    page.go(20)
+    assert not page.find(".map[data-key=truth] canvas >> nth=0").evaluate(pale)
     assert "2 of 21 times" in page.text("#exactness") and page.complaints == []
     page.tab.context.close()
 

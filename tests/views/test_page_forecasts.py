@@ -52,6 +52,7 @@ def test_threshold_and_lead_time_are_chosen(page, plant_run):
     page.go(row_at(plant_run, 40.0))
     texts = {name: page.find(f"#forecast-{name} option").all_inner_texts() for name in ("threshold", "lead")}
     assert texts == {"threshold": ["0.01", "0.1"], "lead": ["0 s", "30 s"]}
+    assert page.text("#forecast .choices label >> nth=0").startswith("Concentration above")
     covered = {}
     for lead in ("0", "1"):
         page.find("#forecast-lead").select_option(lead)

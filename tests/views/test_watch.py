@@ -78,10 +78,13 @@ def test_forecasts_come_as_soon_as_they_are_made(browser, plant_run, tmp_path):
         forecasts(plant_run, issues).to_netcdf(tmp_path / "beside.nc")
         (tmp_path / "beside.nc").rename(tmp_path / "forecast.nc")
 
-    record(plant_run, tmp_path, 3)
+    record(plant_run, tmp_path, 1)
     with served(Server(Following(tmp_path, used=lambda: 0.0))) as server:  # reading takes no time
         page = open_page(browser, server.address)
-        assert page.find("#forecast").is_hidden()
+        assert page.find("#forecast").is_hidden() and "reading" not in page.text(".marks")
+        record(plant_run, tmp_path, 3)
+        expect(page.find("#now")).to_contain_text("t = 10 of 10 s", timeout=1000.0 * PATIENCE)
+        assert "reading" in page.text(".marks") and page.find("#forecast").is_hidden()
         foresee([10.0])  # the row of its time has been recorded before
         hint = page.find("#forecast .hint")
         expect(hint).to_contain_text("Made at t = 10 s", timeout=1000.0 * PATIENCE)
@@ -92,6 +95,7 @@ def test_forecasts_come_as_soon_as_they_are_made(browser, plant_run, tmp_path):
         first = page.pixels("#forecast canvas >> nth=0")
         record(plant_run, tmp_path, 10)
         expect(page.find("#now")).to_contain_text("t = 45 of 45 s", timeout=1000.0 * PATIENCE)
+        expect(page.find("#subtitle")).to_contain_text("45 s · following")
         assert "Made at t = 10 s" in hint.inner_text()
         foresee([10.0, 45.0])
         expect(hint).to_contain_text("Made at t = 45 s", timeout=1000.0 * PATIENCE)

@@ -16,6 +16,7 @@ export class Ahead {
   constructor(data, maps, theme, player) {
     Object.assign(this, { data, maps, theme, player });
     this.room = document.getElementById("forecast");
+    document.getElementById("forecast-what").textContent = data.variable.title;
     this.note = this.room.querySelector(".hint");
     this.under = element("canvas", { role: "img" });
     const over = element("canvas", { "aria-hidden": "true" });
@@ -121,7 +122,7 @@ export class Ahead {
     const row = (name, k) => {
       const times = areas.arrival[issue][threshold][k].map((time) => (time === null ? "–" : `${formatNumber(time)} s`));
       const cells = [percent(areas.probability[issue][threshold][k]), ...times];
-      return element("tr", {}, [element("th", { scope: "row" }, [name]), ...cells.map((one) => element("td", {}, [one]))]);
+      return element("tr", {}, [element("th", { scope: "row" }, breakable(name)), ...cells.map((one) => element("td", {}, [one]))]);
     };
     const titles = [...heads, ...areas.quantiles.map((share) => `By then: ${percent(share)}`)];
     return element("table", {}, [
@@ -129,4 +130,9 @@ export class Ahead {
       element("tbody", {}, areas.names.map(row)),
     ]);
   }
+}
+
+/** Return the parts of a name such as north_gate, which may stand in two lines. */
+function breakable(name) {
+  return name.split(/(?<=_)/).flatMap((part, k) => (k ? [element("wbr"), part] : [part]));
 }

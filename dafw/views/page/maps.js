@@ -10,6 +10,7 @@ import { Painting, Raster } from "./raster.js";
 
 const MOST_PIXELS = 120000; // of one map; a larger one is enlarged by the browser
 const SPREAD = { magma: "viridis", viridis: "cividis", cividis: "magma" }; // the colours of the spread are others
+const PAST = 0.05; // share of the run after which a field that is not of the time that is shown is pale
 const LATER = { mean: "smoothed_mean", spread: "smoothed_spread" };
 
 /** All maps of a run. `fields` are the decoded ones: {key, title, values}; without any there is one map of places. */
@@ -146,6 +147,7 @@ export class Maps {
         const [low, high] = this.range(panel);
         const table = panel.key === "spread" ? this.spreadTable : this.table;
         panel.painting.paint(this.field(panel).values, at * this.nodes, table, low, high);
+        panel.under.classList.toggle("past", row - this.data.fields.rows[at] > PAST * this.player.count);
         if (this.player.telling) panel.note.textContent = this.caption(panel, row, this.data.fields.rows[at]);
       }
       if (panel.overlay.width) panel.overlay.draw(row, this.theme.colours, this.withRoute, this.picked);
