@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from xarray import DataArray, Dataset
 
+from dafw.core.accessor.scores import crps_of_errors
 from dafw.core.domain import node_areas
 from dafw.core.errors import RunError
 from dafw.core.files import write_dataset
@@ -186,9 +187,8 @@ def _median_arrival(forecasts: Dataset, name: str, dim: str, horizon: float) -> 
 
 
 def _brier(happened: Any, chance: Array) -> Array:
-    from scoringrules import brier_score
-
-    return np.asarray(brier_score(happened.astype(np.float64), chance, backend="numpy"))
+    """Return the Brier score: the squared difference of what was promised and what happened, which is 0 or 1."""
+    return (chance - happened) ** 2
 
 
 def _contours(forecasts: Dataset, field: Array | None) -> list[Array]:
@@ -244,8 +244,6 @@ def _reliability(chance: Array, happened: Any, shares: Array) -> dict[str, Array
 
 def _of_areas(forecasts: Dataset) -> Mapping[str, DataArray]:
     """Return, by issue, threshold and area: promised probabilities, what happened, and scores of the arrival."""
-    from scoringrules import twcrps_ensemble
-
     dims, horizon = ("issue", "threshold", "area"), horizon_of(forecasts)
     arrived = _values(forecasts, "area_arrival_time_truth", *dims)
     found = {"area_happened": np.isfinite(arrived).astype(float)}
@@ -255,19 +253,10 @@ def _of_areas(forecasts: Dataset) -> Mapping[str, DataArray]:
         # The CRPS of the time of arrival, in which all times beyond the horizon are the same.
         if rival != "belief":
             found[f"area_arrival_crps_{rival}"] = np.abs(guess.arrival - np.nan_to_num(arrived, nan=horizon))
-    members = _values(forecasts, "area_arrival_time_members", *dims, "member")
-    weights = np.broadcast_to(forecasts["weight"].values[:, np.newaxis, np.newaxis], members.shape)
-    later = 2.0 * horizon
-    found["area_arrival_crps_belief"] = np.asarray(
-        twcrps_ensemble(
-            np.nan_to_num(arrived, nan=later),
-            np.nan_to_num(members, nan=later),
-            b=horizon,
-            ens_w=weights,
-            estimator="qd",
-            backend="numpy",
-        )
-    )
+    members = np.nan_to_num(_values(forecasts, "area_arrival_time_members", "member", *dims), nan=np.inf)
+    off = np.minimum(members, horizon) - np.minimum(np.nan_to_num(arrived, nan=np.inf), horizon)
+    weights = np.broadcast_to(forecasts["weight"].values.T[:, :, np.newaxis, np.newaxis], off.shape)
+    found["area_arrival_crps_belief"] = crps_of_errors(off, weights)
     made = {name: DataArray(values, dims=dims) for name, values in found.items()}
     return made | {
         "area_name": DataArray(forecasts["area_name"].values, dims="area", attrs=forecasts["area_name"].attrs)

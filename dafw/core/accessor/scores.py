@@ -68,18 +68,26 @@ def crps(run: Dataset, name: str | None, *, each: bool) -> DataArray:
 
 
 def crps_of(ensemble: Ensemble, truth: Array) -> Array:
-    """Return the CRPS (n,) of each number of an ensemble of one variable against a truth (n,).
-
-    The double sum is one over the sorted members: with W_i the weight of the members up to the i-th, it is
-    sum_i w_i x_i (2 W_i - w_i - 1). Written here, because importing scoringrules takes seconds.
-    """
+    """Return the CRPS (n,) of each number of an ensemble of one variable against a truth (n,)."""
     space = ensemble.space
     if space.variables[0].kind is Kind.ANGLE:
         return _circular(ensemble, truth)
     off = space.difference(ensemble.members, truth)
     weights = np.full(len(off), 1.0 / len(off)) if ensemble.weights is None else ensemble.weights
+    return crps_of_errors(off, weights)
+
+
+def crps_of_errors(off: Array, weights: Array) -> Array:
+    """Return the CRPS (...) of members that are ``off`` (N, ...) the truth.
+
+    ``weights``, (N,) or of the shape of ``off``, have the sum 1.
+
+    The double sum is one over the sorted members: with W_i the weight of the members up to the i-th, it is
+    sum_i w_i x_i (2 W_i - w_i - 1). Written here, because importing the package scoringrules takes ten seconds.
+    """
     order = np.argsort(off, axis=0)
-    off, share = np.take_along_axis(off, order, axis=0), weights[order]
+    each = np.broadcast_to(weights.reshape(weights.shape + (1,) * (off.ndim - weights.ndim)), off.shape)
+    off, share = np.take_along_axis(off, order, axis=0), np.take_along_axis(each, order, axis=0)
     return np.asarray((share * (np.abs(off) - off * (2.0 * np.cumsum(share, axis=0) - share - 1.0))).sum(axis=0))
 
 

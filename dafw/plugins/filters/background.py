@@ -101,7 +101,7 @@ def judged(
     if np.isfinite(degrees):
         constant = lgamma(0.5 * (degrees + 1.0)) - lgamma(0.5 * degrees) - 0.5 * np.log(degrees * np.pi)
     fit, background, gain, on, expected = _sequence(
-        predicted,
+        np.ascontiguousarray(predicted),  # for others numba would compile it again
         np.concatenate([one.values for one in observations]),
         np.concatenate(variances),
         np.array(sensor),
