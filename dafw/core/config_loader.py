@@ -40,7 +40,7 @@ KEPT = 100
 """How many compositions are kept, of about a megabyte each; a multirun may have thousands of jobs."""
 
 
-_TOGETHER = Kept(20)
+_TOGETHER = Kept(50)
 """Files put together."""
 
 
