@@ -201,13 +201,19 @@ def advance(parts: Parts, state: State, decided: Callable[[Route], None] | None 
         clock.phase("forecast", parts.model)
         errors = streams.members(MODEL_ERROR, cycle)
         stepped = parts.executor.submit(parts.model, Batch(belief.ensemble.members, belief.memory, now, errors))
-        # While the workers step the belief, this process steps the truth and the free run.
+        # While the workers step the belief, this process steps the truth and the free run. The truth is checked after
+        # the free run's step, beside the belief: what stands between two steps runs from slow memory.
+        truth_step = None
         if parts.truth is not None and truth is not None:
             clock.phase("truth", parts.truth)
-            truth = parts.truth.forecast(truth.ensemble, truth.memory, streams.members(TRUTH_ERROR, cycle))
+            errors, at = streams.members(TRUTH_ERROR, cycle), truth.ensemble
+            truth_step = parts.truth.step_with_memory(at.members, truth.memory, at.time, errors)
         if parts.free is not None and free is not None:
             clock.phase("free", parts.free)
             free = parts.free.forecast(free.ensemble, free.memory, streams.members(FREE_ERROR, cycle))
+        if parts.truth is not None and truth is not None and truth_step is not None:
+            clock.phase("truth", parts.truth)
+            truth = parts.truth.stepped(truth.ensemble, truth_step)
         clock.phase("forecast", parts.model)
         forecast = parts.model.stepped(belief.ensemble, stepped().steps[-1])
 

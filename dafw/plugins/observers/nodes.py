@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from dafw.core.ensemble import handed_over
 from dafw.core.observation import Selection
 from dafw.core.space import Array, StateSpace
 
@@ -34,8 +35,8 @@ def read_nodes(
     variance = noise_sd**2 if assumed_variance is None else assumed_variance
     return Selection(
         indices=nodes + space.slice(variable).start,
-        covariance=np.full(len(nodes), variance),
-        noise_covariance=np.full(len(nodes), noise_sd**2),
+        covariance=handed_over(np.full(len(nodes), variance)),
+        noise_covariance=handed_over(np.full(len(nodes), noise_sd**2)),
         coordinates=np.empty((0, 2)) if coordinates is None or not len(nodes) else coordinates[nodes],
         sensors=tuple(first.values()),
     )
