@@ -85,7 +85,8 @@ def copy_loops(source: Path, target: Path) -> None:
     """Copy what numba has compiled of the same modules, which takes it long; it knows them by their size and time."""
     for index in source.rglob("*.nbi"):
         module = index.relative_to(source).parent.parent / f"{index.name.partition('.')[0]}.py"
-        if (target / module).read_bytes() == (source / module).read_bytes():
+        both = (source / module, target / module)
+        if all(one.is_file() for one in both) and both[0].read_bytes() == both[1].read_bytes():
             at = (source / module).stat()
             os.utime(target / module, ns=(at.st_atime_ns, at.st_mtime_ns))
             kept = (target / module).parent / "__pycache__"
