@@ -42,7 +42,6 @@ PACKAGES = {
     "pyproj": "pyproj",
     "scipy": "scipy",
     "shapely": "shapely",
-    "scoringrules": "scoringrules",
     "threadpoolctl": "threadpoolctl",
     "tqdm": "tqdm",
     "xarray": "xarray",
