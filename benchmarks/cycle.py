@@ -119,10 +119,10 @@ def realtime_factor_n100(short: bool) -> Measurement:
     return realtime_factor([*PAPER, *BEST, "executor=processes", "members=100"], 100)
 
 
-def _recommended(short: bool, baseline: float, *overrides: str) -> Measurement:
+def _recommended(short: bool, baseline: float, *overrides: str, steps: str = "filter.steps") -> Measurement:
     if short:
         coarse = [word for word in SMALL if word.startswith("model.mesh")]
-        few = ["members=3", "policy.horizon=3", "filter.steps=6"]
+        few = ["members=3", "policy.horizon=3", f"{steps}=6"]
         return realtime_factor([*RECOMMENDED, *TOY_BASIS, *overrides, *coarse, *few], 2, warm=False, baseline=baseline)
     return realtime_factor([*RECOMMENDED, *overrides], 100, baseline=baseline)
 
@@ -137,6 +137,14 @@ def realtime_recommended(short: bool) -> Measurement:
 def realtime_recommended_10k(short: bool) -> Measurement:
     """The same on 10,045 nodes."""
     return _recommended(short, 3.0, *TEN_THOUSAND, *TWO_WORKERS)
+
+
+@benchmark("cycle.realtime_coarse_search_10k")
+def realtime_coarse_search_10k(short: bool) -> Measurement:
+    """The same on 10,045 nodes, with search and plans on 2,715."""
+    mesh = ("wall_size=60", "far_size=120") if short else ("wall_size=16", "far_size=24", "transition=100")
+    coarser = ["filter=coarse_amis", "policy.coarser=true", *(f"model.coarse_mesh.{word}" for word in mesh)]
+    return _recommended(short, 3.0, *TEN_THOUSAND, *coarser, steps="+filter.base.steps")
 
 
 @benchmark("cycle.realtime_recommended_10k_n100")

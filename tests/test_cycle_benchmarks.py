@@ -14,7 +14,8 @@ from benchmarks.cycle import SMALL
 ROOT = Path(__file__).parent.parent
 RERUNS = ["rerun.over_stepping_2k7", "rerun.fct_over_stepping_2k7"]
 RECOMMENDED = [f"cycle.realtime_recommended{size}" for size in ("", "_10k", "_10k_n100")]
-NAMES = ["cycle.realtime_factor_n10", *RECOMMENDED, "cycle.over_literal", "cycle.overhead_ms", *RERUNS]
+COARSE = "cycle.realtime_coarse_search_10k"
+NAMES = ["cycle.realtime_factor_n10", *RECOMMENDED, COARSE, "cycle.over_literal", "cycle.overhead_ms", *RERUNS]
 
 
 @pytest.fixture(scope="module")

@@ -60,6 +60,10 @@ class Mover(Model):
         misfit = np.einsum("ij,ij->i", offset, np.linalg.solve(covariance, offset.T).T)
         return np.asarray(-0.5 * (misfit + np.linalg.slogdet(2.0 * np.pi * covariance)[1]))
 
+    def coarser(self) -> Model:
+        """Return the model itself: none is cheaper."""
+        return self
+
     def initial_memory(self, members: Array) -> Memory | None:
         """Return the drift (N,) of each member, which depends on its state."""
         return {"drift": 0.1 * members[:, 0]} if self.remembers else None

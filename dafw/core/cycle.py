@@ -14,8 +14,9 @@ run can be cut anywhere and continued to the same bits.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from time import perf_counter
 from typing import Self
 
@@ -29,6 +30,7 @@ from dafw.core.interfaces.readings import Request, Taken
 from dafw.core.interpolation import View
 from dafw.core.late import Sorted, sort_by_cycle
 from dafw.core.observation import Observation
+from dafw.core.past import kept, with_late
 from dafw.core.plugin import Plugin, label_of
 from dafw.core.rerun import MODEL_ERROR, Rerun
 from dafw.core.rng import Streams
@@ -62,7 +64,7 @@ class Parts:
     late_readings: str = "drop"
     truth_view: View | None = None
 
-    @property
+    @cached_property
     def rerun(self) -> Rerun:
         """What runs the model again."""
         return Rerun(self.model, self.executor, self.streams)
@@ -233,10 +235,10 @@ def advance(parts: Parts, state: State, decided: Callable[[Route], None] | None 
         if parts.filter.window == 0:
             analysis = parts.filter.update(forecast.ensemble, predicted, readings.now, state.filter_memory, analysing)
         else:
-            past = _with_late((*state.past, PastCycle(cycle, belief, readings.now)), readings.late)
+            past = with_late((*state.past, PastCycle(cycle, belief, readings.now)), readings.late)
             window = Window(past, forecast, predicted, readings.late, state.filter_memory, parts.rerun)
             analysis = parts.filter.look_back(window, analysing)
-            past = _kept(parts.filter, past, analysis)
+            past = kept(parts.filter, past, analysis)
 
     posterior = forecast.ensemble.with_members(handed_over(analysis.members), analysis.weights)
     model_memory = forecast.memory if analysis.model_memory is None else analysis.model_memory
@@ -282,22 +284,3 @@ def _arrived(vehicle: Vehicle, route: Route, taken: Taken) -> Vehicle:
         if number < len(positions):
             positions[number] = place
     return vehicle.moved(positions)
-
-
-def _with_late(past: tuple[PastCycle, ...], late: Sequence[tuple[int, Observation]]) -> tuple[PastCycle, ...]:
-    """Return the past with late readings added to the cycles that they belong to."""
-    cycles = {one.number: one for one in past}
-    for number, observation in late:
-        cycles[number] = cycles[number].with_readings(observation)
-    return tuple(cycles.values())
-
-
-def _kept(filter_: Filter, past: Sequence[PastCycle], analysis: Analysis) -> tuple[PastCycle, ...]:
-    """Return the past for the next window: with beliefs as revised, and only as many cycles as the filter asks for."""
-    if filter_.window is not None:
-        past = past[max(0, len(past) - (filter_.window - 1)) :]
-    kept = []
-    for place, one in enumerate(past):
-        needed = filter_.past_beliefs == "all" or filter_.window is not None or place == 0
-        kept.append(one.with_belief(analysis.revised.get(one.number, one.belief) if needed else None))
-    return tuple(kept)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from dafw.core.domain import Domain
 from dafw.core.ensemble import Ensemble
 from dafw.core.errors import ConfigurationError
+from dafw.core.observation import ObservationOperator, Selection
 from dafw.core.space import Array, IntArray, Kind, StateSpace, Variable
 
 
@@ -101,9 +102,42 @@ class View:
 
     def of(self, ensemble: Ensemble) -> Ensemble:
         """Return an ensemble (N, n) of the first space as an ensemble (N, m) of the second."""
-        members = np.asarray((self.matrix @ ensemble.members.T).T)
-        members[:, self.missing] = np.nan
-        return Ensemble(members, self.space, ensemble.time, ensemble.weights)
+        return Ensemble(self.members(ensemble.members), self.space, ensemble.time, ensemble.weights)
+
+    def members(self, members: Array) -> Array:
+        """Return members (N, n) of the first space as members (N, m) of the second."""
+        seen = np.asarray((self.matrix @ members.T).T)
+        seen[:, self.missing] = np.nan
+        return seen
+
+    def through(self, operator: ObservationOperator) -> ObservationOperator:
+        """Return the operator that reads states of the first space as ``operator`` reads those of the second."""
+        rows = self.matrix[operator.indices] if isinstance(operator, Selection) else None
+        return _Through(
+            operator=operator,
+            view=self,
+            rows=rows,
+            covariance=operator.covariance,
+            noise_covariance=operator.noise_covariance,
+            coordinates=operator.coordinates,
+            sensors=operator.sensors,
+            limits=operator.limits,
+        )
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Through(ObservationOperator):
+    """What ``operator`` reads of the states that a view shows; ``rows`` (m, n) of the view's matrix suffice, if any."""
+
+    operator: ObservationOperator
+    view: View
+    rows: Any = None
+
+    def apply(self, members: Array) -> Array:
+        """Return what each of the members (N, n) would read, (N, m)."""
+        if self.rows is None:
+            return self.operator.apply(self.view.members(members))
+        return np.asarray((self.rows @ members.T).T)
 
 
 def view(of: StateSpace, of_domain: Domain | None, space: StateSpace, role: str) -> View | None:

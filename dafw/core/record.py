@@ -26,7 +26,8 @@ from dafw.core.ensemble import Ensemble
 from dafw.core.errors import CheckpointError
 from dafw.core.files import made_anew
 from dafw.core.observation import Observation, Selection
-from dafw.core.run_file import STAGES, RunFile
+from dafw.core.run_file import RunFile
+from dafw.core.run_layout import STAGES
 from dafw.core.space import Array, StateSpace, Variable
 
 FLUSH_SECONDS = 0.5

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -17,10 +18,12 @@ from dafw.core.ensemble import Ensemble, Forecast
 from dafw.core.errors import ContractError
 from dafw.core.executors import Executor
 from dafw.core.executors.batches import Batch, Stepped
+from dafw.core.executors.serial import Serial
 from dafw.core.interfaces.model import Model
+from dafw.core.interpolation import View, view
 from dafw.core.observation import ObservationOperator
 from dafw.core.rng import Streams
-from dafw.core.space import Array
+from dafw.core.space import Array, StateSpace
 
 MODEL_ERROR = "model error"
 """The role of the belief's own streams."""
@@ -108,6 +111,27 @@ class Rerun:
         batch = Batch(ensemble.members, start.memory, ensemble.time, rng, last - first, wanted, keep)
         stepped = self._executor.submit(self._model, batch)
         return lambda: self._replay(ensemble, first, last, stepped(), keep)
+
+    @cached_property
+    def coarser(self) -> Rerun:
+        """What runs the coarser version of the model, in this process; raises ConfigurationError if there is none."""
+        return Rerun(self._model.coarser(), Serial(), self._streams)
+
+    @cached_property
+    def view_of_coarser(self) -> View | None:
+        """The map from states of the coarser version to those of the model; None if they are the same."""
+        coarser = self.coarser
+        return view(coarser.space, coarser.domain, self.space, "coarser model")
+
+    @cached_property
+    def view_to_coarser(self) -> View | None:
+        """The map from states of the model to those of the coarser version; None if they are the same."""
+        return view(self.space, self.domain, self.coarser.space, "model")
+
+    @property
+    def space(self) -> StateSpace:
+        """The model's state space."""
+        return self._model.space
 
     @property
     def domain(self) -> Domain | None:

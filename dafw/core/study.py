@@ -199,6 +199,8 @@ class Study:
         self.filter.suit(model.space, self.members)
         if self.filter.weighs_first_guess:
             model.require_log_first_guess()
+        if self.filter.uses_coarser or self.policy.uses_coarser:
+            model.coarser().require_available()
         self.readings.suit(model.space, model.domain, model.dt)
         if self.forecast.every is not None:
             self.forecast.suit(model.dt)

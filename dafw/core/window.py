@@ -117,6 +117,15 @@ class Outlook:
     cycle: int
     rerun: Rerun
 
+    def on_coarser(self) -> Outlook:
+        """Return the same outlook with the coarser version of the model, which has a new memory for the members.
+
+        Raises ConfigurationError if there is none.
+        """
+        coarser, shown = self.rerun.coarser, self.rerun.view_to_coarser
+        ensemble = self.belief.ensemble if shown is None else shown.of(self.belief.ensemble)
+        return replace(self, belief=coarser.with_memory(ensemble), rerun=coarser)
+
     def ahead(
         self, n_cycles: int, operators: Sequence[ObservationOperator] | None = None, *, members: Array | None = None
     ) -> Replay:

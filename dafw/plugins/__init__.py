@@ -37,6 +37,12 @@ def dafw_plugins() -> list[PluginSpec]:
         PluginSpec("filter", "amis", f"{_HERE}.filters.amis:AMIS", "adaptive multiple importance sampling, re-runs"),
         PluginSpec("filter", "smc", f"{_HERE}.filters.smc:SMC", "tempered sequential Monte Carlo, re-runs"),
         PluginSpec("filter", "local", f"{_HERE}.filters.local:Local", "another filter, corrected near the readings"),
+        PluginSpec(
+            "filter",
+            "coarse_search",
+            f"{_HERE}.filters.coarse_search:CoarseSearch",
+            "another filter, on a coarser version of the model",
+        ),
         PluginSpec("filter", "enks", f"{_HERE}.filters.enks:EnKS", "ensemble Kalman smoother, fixed lag or interval"),
         PluginSpec(
             "filter", "esmda", f"{_HERE}.filters.esmda:ESMDA", "ES-MDA: small stochastic updates, re-runs between"

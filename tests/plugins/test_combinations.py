@@ -23,9 +23,11 @@ CYCLES, MEMBERS = 3, 6
 SMALL = {
     "linear_advection": {"cells": 5, "waves": 1},
     "lorenz96": {"size": 5, "spinup": 10},
+    "ad": {"coarse_mesh": {"far_size": 90.0}},
+    "ad_ins": {"coarse_mesh": {"far_size": 90.0}},
 }
 """Options beside those under which ``dafw check`` makes a model (the flagship's has 200 nodes): fewer numbers than
-members."""
+members, and a coarser version."""
 
 ONE_ANALYSIS = {
     "esmda": {"every": CYCLES, "iterations": 1},
@@ -34,6 +36,7 @@ ONE_ANALYSIS = {
     "amis": {"every": CYCLES, "steps": 2 * CYCLES * MEMBERS},
     "smc": {"every": CYCLES, "steps": 2 * CYCLES * MEMBERS},
     "local": {"base": {"name": "amis", "every": CYCLES, "steps": 2 * CYCLES * MEMBERS}},
+    "coarse_search": {"base": {"name": "amis", "every": CYCLES, "steps": 2 * CYCLES * MEMBERS}, "renew": CYCLES},
 }
 """Options of filters that run the model again, with which they do so twice: winds take their time."""
 
@@ -58,7 +61,9 @@ MISFITS = {
     ("model", "policy"): {(model, policy): PLACES for model in WITHOUT_PLACES for policy in ("enie2d", "look_ahead")},
     ("model", "filter"): {
         **{(model, "kalman"): "filter 'kalman'" for model in ("ad", "ad_ins", "puffs", "puffs_track")},  # N < n
-        **{("linear_advection", filter_): "how likely" for filter_ in ("amis", "smc", "local")},  # no density in R^n
+        **{("linear_advection", filter_): "how likely" for filter_ in ("amis", "smc", "local", "coarse_search")},
+        # (no density in R^n)
+        **{(model, "coarse_search"): "no coarser version" for model in ("lorenz96", "puffs", "puffs_track")},
         **{(model, "local"): "a variable with places" for model in ("lorenz96", "puffs_track")},
     },
 }

@@ -27,6 +27,7 @@ class Filter(Plugin):
     filter's ``inflation`` means something else.
 
     ``weighs_first_guess``: the filter needs to know how likely a first guess is (``Model.log_first_guess``).
+    ``uses_coarser``: it needs a cheaper version of the model (``Model.coarser``).
 
     A filter that looks back defines ``analyse_window`` instead of ``analyse``. Its ``window`` is the number of cycles
     that it looks back over, the present one included; None: all since the start. ``past_beliefs`` says whether it
@@ -50,6 +51,7 @@ class Filter(Plugin):
     accuracy: ClassVar[str] = "statistical"
     localization_option: ClassVar[str | None] = None
     weighs_first_guess: bool = False
+    uses_coarser: bool = False
     inflation_option: ClassVar[str | None] = "inflation"
     past_beliefs: ClassVar[Literal["all", "first"]] = "all"
 

@@ -68,6 +68,14 @@ class Model(Plugin):
         if type(self).log_first_guess is Model.log_first_guess:
             self.log_first_guess(np.empty((0, 0)))
 
+    def coarser(self) -> Model:
+        """Return a cheaper version of the model, for filters that search with it and report with the model itself.
+
+        It has the same variables and time step; those with places may have them elsewhere. Raises ConfigurationError
+        unless a model defines it.
+        """
+        raise ConfigurationError(f"{self.label} has no coarser version, which the filter needs")
+
     def notes(self) -> list[str]:
         """Return sentences for the log about what the model was built from."""
         return []

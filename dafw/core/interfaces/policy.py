@@ -21,7 +21,8 @@ class Policy(Plugin):
     """Where the instruments go next, knowing only the belief and the vehicle.
 
     A policy that looks ahead (``looks_ahead = True``) defines ``plan`` instead of ``decide``: its ``Outlook`` runs the
-    belief on, as the model expects it to evolve.
+    belief on, as the model expects it to evolve. ``uses_coarser``: it needs a cheaper version of the model
+    (``Model.coarser``) for that (``Outlook.on_coarser``).
 
     >>> class East(Policy):
     ...     def decide(self, belief, vehicle, rng):
@@ -33,6 +34,7 @@ class Policy(Plugin):
 
     kind = "policy"
     looks_ahead: ClassVar[bool] = False
+    uses_coarser: bool = False
 
     @classmethod
     def check_space(cls) -> StateSpace | None:

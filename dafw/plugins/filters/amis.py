@@ -36,25 +36,14 @@ from dafw.core.interfaces import Filter
 from dafw.core.options import option
 from dafw.core.space import Array, StateSpace
 from dafw.core.window import Window
-from dafw.plugins.filters.candidates import (
-    Candidates,
-    clipped,
-    effective_size,
-    first_candidates,
-    log_prior_of,
-    n_moments,
-    normalized,
-    readings_before,
-    rows,
-    tried,
-    without_repeats,
-)
+from dafw.plugins.filters.candidates import Candidates, first_candidates, log_prior_of, readings_before, rows, tried
 from dafw.plugins.filters.controls import Controls
 from dafw.plugins.filters.kernels import Kernels
 from dafw.plugins.filters.likelihood import Likelihood
 from dafw.plugins.filters.linearised import can_linearise, linearised
 from dafw.plugins.filters.shown import members_drawn
 from dafw.plugins.filters.slow_sensors import as_shown, response_seen
+from dafw.plugins.filters.weights import clipped, effective_size, n_moments, normalized, without_repeats
 
 HOPELESS = 30.0
 """A proposal whose log prior is this much below the best sample's has no weight and is not run."""

@@ -19,8 +19,8 @@ import numpy as np
 
 from dafw.core.ensemble import Memory
 from dafw.core.space import Array
-from dafw.plugins.filters.candidates import effective_size, systematic
 from dafw.plugins.filters.controls import Controls
+from dafw.plugins.filters.weights import effective_size, systematic
 
 DEGREES = 5.0
 WIDTHS = np.array([1.0, 0.3])

@@ -21,10 +21,11 @@ import numpy as np
 
 from dafw.core.space import Array
 from dafw.core.window import Window
-from dafw.plugins.filters.candidates import Candidates, effective_size, systematic
+from dafw.plugins.filters.candidates import Candidates
 from dafw.plugins.filters.controls import Controls
 from dafw.plugins.filters.kernels import SMALLEST_SD, Kernels
 from dafw.plugins.filters.likelihood import Likelihood
+from dafw.plugins.filters.weights import effective_size, systematic
 
 REACH = 2.0
 """Length of a step that is taken for likely, in standard deviations of the samples."""

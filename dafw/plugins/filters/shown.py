@@ -16,7 +16,7 @@ import numpy as np
 
 from dafw.core.ensemble import Ensemble
 from dafw.core.space import NONNEGATIVE, Array, IntArray
-from dafw.plugins.filters.candidates import without_repeats
+from dafw.plugins.filters.weights import without_repeats
 
 EMPTY = 1e-6
 """A cloud of less than this share of the largest one (root of the sum of squares) is no cloud."""

@@ -40,19 +40,11 @@ from dafw.core.interfaces import Filter
 from dafw.core.options import option
 from dafw.core.space import Array, IntArray, StateSpace
 from dafw.core.window import Window
-from dafw.plugins.filters.candidates import (
-    Candidates,
-    effective_size,
-    first_candidates,
-    log_prior_of,
-    normalized,
-    readings_before,
-    systematic,
-    tried,
-)
+from dafw.plugins.filters.candidates import Candidates, first_candidates, log_prior_of, readings_before, tried
 from dafw.plugins.filters.controls import Controls
 from dafw.plugins.filters.likelihood import Likelihood
 from dafw.plugins.filters.slow_sensors import response_seen
+from dafw.plugins.filters.weights import effective_size, normalized, systematic
 
 POWERS = np.append(0.0, np.geomspace(1e-6, 1.0, 200))
 """Powers of the likelihood that are considered; from one to the next the effective size hardly changes."""

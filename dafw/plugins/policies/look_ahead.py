@@ -141,6 +141,12 @@ class LookAhead(Policy):
     floor: float = option(0.01, "c0, in units of the variable: smaller differences count little", above=0.0)
     samples: int = option(2, "points a step along a path at which predictions are compared", minimum=1)
     variable: str | None = option(None, "state variable that is compared; null: the first with places in the plane")
+    coarser: bool = option(False, "forecast with the coarser version of the model, which must have one")
+
+    @property
+    def uses_coarser(self) -> bool:  # type: ignore[override]  # it depends on the options
+        """Whether the coarser version of the model is needed."""
+        return self.coarser
 
     @classmethod
     def check_options(cls) -> Mapping[str, Any]:
@@ -189,6 +195,8 @@ class LookAhead(Policy):
 
     def _scores(self, outlook: Outlook, paths: Sequence[Paths], cycles: int) -> Array:
         """Return the scores (V, H) of all headings; minus infinity for one whose first leg is blocked."""
+        if self.coarser:
+            outlook = outlook.on_coarser()
         belief, dt = outlook.belief.ensemble, outlook.vehicle.dt
         variable, coordinates = self._variable(belief.space)
         part = belief.space.slice(variable.name)

@@ -5,7 +5,7 @@ from matplotlib.tri import Triangulation
 from xarray import Dataset
 
 import dafw.core.accessor  # noqa: F401 - so that Datasets have ``dafw``
-from dafw.core.run_file import KIND_NOTES
+from dafw.core.run_layout import KIND_NOTES
 from dafw.core.space import Kind
 
 SIDE = np.linspace(0.0, 10.0, 21)

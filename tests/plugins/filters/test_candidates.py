@@ -11,19 +11,14 @@ from dafw.core.ensemble import Analysis
 from dafw.core.errors import SolverError
 from dafw.plugins.filters.candidates import (
     Candidates,
-    clipped,
-    effective_size,
     evaluated,
     first_candidates,
     log_prior_of,
-    n_moments,
-    normalized,
     readings_before,
-    systematic,
     tried,
-    without_repeats,
 )
 from dafw.plugins.filters.controls import Controls
+from dafw.plugins.filters.weights import clipped, effective_size, n_moments, normalized, systematic, without_repeats
 
 
 @dataclass

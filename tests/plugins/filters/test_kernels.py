@@ -5,9 +5,9 @@ import pytest
 from scipy.stats import multivariate_t
 
 from dafw import ANGLE, StateSpace, Variable
-from dafw.plugins.filters.candidates import effective_size
 from dafw.plugins.filters.controls import Controls
 from dafw.plugins.filters.kernels import DEGREES, WIDTHS, Kernels
+from dafw.plugins.filters.weights import effective_size
 
 PLANE = Controls(StateSpace([Variable("x", 1), Variable("y", 1)]))
 CIRCLE = Controls(StateSpace([Variable("direction", 1, ANGLE)]))

@@ -20,10 +20,10 @@ from dafw.core.errors import OptionError, SolverError
 from dafw.core.executors.processes import Processes
 from dafw.core.options import require_options
 from dafw.plugins.filters.amis import AMIS
-from dafw.plugins.filters.candidates import effective_size, normalized
 from dafw.plugins.filters.controls import Controls
 from dafw.plugins.filters.kernels import Kernels
 from dafw.plugins.filters.smc import POWERS, SMC, next_power, resampled
+from dafw.plugins.filters.weights import effective_size, normalized
 
 SEEDS = 40
 LIMIT, RUNS = 0.7, 12

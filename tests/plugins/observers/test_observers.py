@@ -1,5 +1,8 @@
 """Drone, stations, composite: which nodes are read, and which error variance the filter is given."""
 
+import math
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -35,6 +38,18 @@ def test_a_hovering_drone_reads_the_node_below_it():
 def test_samples_lie_at_equal_distances_along_a_bent_way():
     bent = np.array([[0.0, 0.0], [3.0, 0.0], [3.0, 5.0]])
     np.testing.assert_allclose(along(bent, 4), [[2, 0], [3, 1], [3, 3], [3, 5]])
+
+
+def test_samples_have_the_bits_of_numpys_interpolation():
+    rng = np.random.default_rng(5)
+    for corners, n_samples in zip(rng.integers(2, 6, 300), rng.integers(1, 7, 300), strict=True):
+        path = rng.uniform(-200.0, 200.0, (corners, 2))
+        if rng.random() < 0.3:
+            path[-1] = path[-2]  # the vehicle waits at the end
+        travelled = np.append(0.0, np.cumsum([math.dist(*leg) for leg in pairwise(path)]))
+        stations = np.arange(1, n_samples + 1) / n_samples * travelled[-1]
+        expected = np.column_stack([np.interp(stations, travelled, path[:, axis]) for axis in (0, 1)])
+        np.testing.assert_array_equal(along(path, n_samples), expected if travelled[-1] else path[:1])
 
 
 def test_every_vehicle_is_read_and_no_vehicle_reads_nothing():

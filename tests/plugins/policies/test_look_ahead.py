@@ -325,3 +325,26 @@ def test_the_same_bits_every_time_and_with_worker_processes():
     for executor in ("serial", "processes"):
         for one, other in zip(first, flown(executor), strict=True):
             assert all(a.tobytes() == b.tobytes() for a, b in zip(one, other, strict=True))
+
+
+def test_with_the_coarser_version_it_decides_as_if_that_were_the_model():
+    coarse_nodes = GRID[::3]
+
+    class Fine(Drifting):
+        def coarser(self):
+            return Drifting(space_of(coarse_nodes), self.dt)
+
+    clouds, velocity = [cloud(40.0, 30.0), cloud(45.0, -20.0)], [[-3.0, 1.0], [2.0, 2.0]]
+    fine = belief_of(clouds, velocity)
+    coarse = belief_of([one[::3] for one in clouds], velocity, nodes=coarse_nodes)
+    scores = [
+        fly(LookAhead(horizon=4.0, coarser=coarser), belief, model=model).diagnostics["heading_score"].values
+        for coarser, belief, model in [(True, fine, Fine(fine.space)), (False, coarse, None), (False, fine, None)]
+    ]
+    np.testing.assert_array_equal(scores[0], scores[1])
+    assert (scores[0] != scores[2]).any()
+
+
+def test_a_study_whose_model_has_no_coarser_version_is_refused():
+    with pytest.raises(ConfigurationError, match="has no coarser version"):
+        fly(LookAhead(coarser=True), belief_of([cloud(50.0, 0.0), cloud(0.0, 50.0)]))

@@ -8,13 +8,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
+from dafw.core.errors import ConfigurationError
 from dafw.core.interfaces import Model
 from dafw.core.options import option
 from dafw.core.sharing import Shared
 from dafw.core.space import Array
-from dafw.plugins.models.dispersion.mesh.options import MeshOptions
+from dafw.plugins.models.dispersion.mesh.options import CoarseMeshOptions, MeshOptions
 from dafw.plugins.models.dispersion.mesh.tagged import TaggedMesh
 from dafw.plugins.models.dispersion.site.options import SiteOptions
 
@@ -28,6 +29,7 @@ class OnMesh(Model):
 
     site: SiteOptions = option(SiteOptions, "the site")
     mesh: MeshOptions = option(MeshOptions, "the mesh")
+    coarse_mesh: CoarseMeshOptions = option(CoarseMeshOptions, "the mesh of the coarser version, for coarse_search")
 
     _shared: Shared = field(default_factory=Shared, init=False, repr=False, compare=False)
     _communicator: Any = field(default=None, init=False, repr=False)
@@ -43,6 +45,22 @@ class OnMesh(Model):
     def ground(self) -> Site:
         """The site of the mesh: without buildings, since with a wind through walls the transport would be ill-posed."""
         return replace(self.place, buildings=(), names=(), types=())
+
+    def coarser(self) -> Self:
+        """Return the same model on its ``coarse_mesh``; raises ConfigurationError if that is not given."""
+        return self._coarser
+
+    @cached_property
+    def _coarser(self) -> Self:
+        if not self.coarse_mesh.given:
+            raise ConfigurationError(
+                f"{self.label}: the filter searches with a coarser mesh, and there is none: give coarse_mesh.wall_size "
+                f"or another option of coarse_mesh"
+            )
+        coarser = replace(self, mesh=replace(self.mesh, **self.coarse_mesh.given), coarse_mesh=CoarseMeshOptions())
+        coarser.name = self.name
+        coarser.share_with(self._shared)
+        return coarser
 
     def share_with(self, shared: Shared) -> None:
         """Use ``shared`` for the site, the mesh and what is computed from them."""
