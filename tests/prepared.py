@@ -138,9 +138,8 @@ def main() -> None:
     composition = importlib.import_module("dafw.core.composition")
     composition.compose([])
     importlib.import_module("dafw.core.registry").registry.cache_clear()
-    for pattern in SHARED:
-        for library in Path(sysconfig.get_path("purelib")).glob(pattern):
-            ctypes.CDLL(str(library))
+    for library in [found for place in sys.path for pattern in SHARED for found in Path(place).glob(pattern)]:
+        ctypes.CDLL(str(library))
     unsafe = {"dolfinx", "mpi4py.MPI", "petsc4py.PETSc"} & sys.modules.keys()
     assert not unsafe and threading.active_count() == 1, f"a fork would not survive {unsafe or 'threads'}"
     sys.modules["numba"].njit(lambda number: number)(1)  # numba prepares itself when it compiles for the first time

@@ -42,6 +42,7 @@ PACKAGES = {
     "pyproj": "pyproj",
     "scipy": "scipy",
     "shapely": "shapely",
+    "scoringrules": "scoringrules",
     "threadpoolctl": "threadpoolctl",
     "tqdm": "tqdm",
     "xarray": "xarray",

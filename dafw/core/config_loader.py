@@ -39,9 +39,8 @@ ROLES = ("truth", "free")
 KEPT = 100
 """How many compositions are kept, of about a megabyte each; a multirun may have thousands of jobs."""
 
-
 _TOGETHER = Kept(50)
-"""Files put together."""
+"""What the files of a study are together, before the command line changes them."""
 
 
 class StudyLoader(ConfigLoaderImpl):
@@ -106,7 +105,7 @@ class StudyLoader(ConfigLoaderImpl):
         return parsed, repo
 
     def _compose_config_from_defaults_list(self, defaults: list[ResultDefault], repo: IConfigRepository) -> DictConfig:
-        """Put the chosen files together, without what the command line changes in them: a study has many seeds."""
+        """Return what the chosen files are together; it is kept, because the runs of a study differ in less."""
         files = [repo.load_config(str(default.config_path)) for default in defaults]
         chosen = tuple((one.config_path, one.parent, one.package, one.is_self, one.primary) for one in defaults)
         asked = (chosen, tuple(self._appended), tuple(sorted(self._named_roles.items())))

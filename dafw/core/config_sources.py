@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Sequence
+from operator import is_not
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ class Kept:
     def get(self, asked: object, made_of: Sequence[object], make: Callable[[], Any]) -> Any:
         """Return the kept result, or make it."""
         before, result = self._results.get(asked, (None, None))
-        if before is None or len(before) != len(made_of) or any(map(_other, before, made_of)):
+        if before is None or len(before) != len(made_of) or any(map(is_not, before, made_of)):
             if len(self._results) >= self.most:
                 self._results.clear()
             result = make()
@@ -33,10 +34,6 @@ class Kept:
     def copy_of(self, asked: object, made_of: Sequence[object], make: Callable[[], Any]) -> Any:
         """Return a copy of the kept result, which may be changed."""
         return copy.deepcopy(self.get(asked, made_of, make))
-
-
-def _other(one: object, other: object) -> bool:
-    return one is not other
 
 
 _LOADED = Kept(500)
