@@ -154,7 +154,7 @@ REDUCED = {
 OMITTED = {
     r"^dafw simulate .* &$": "needs a broker, which tests/plugins/readings/test_live_mqtt.py has",
     r"^dafw site preview .* --serve$": "serves until Ctrl-C; tests/views/test_site_preview.py does it",
-    r"^uv build |^pip install dist/": "tests/fresh.py does this without a registry",
+    r"^pip wheel |^pip install dist/": "tests/fresh.py does this without a registry",
     r"^uv pip compile ": "asks a package registry, and would write the lock file",
     r"l96\.etkf_over_dapper": "downloads DAPPER into an environment of its own",
     r"esmda\.difference_from_pyesmda": "downloads pyESMDA into an environment of its own",

@@ -6,7 +6,6 @@ that opens, and a row without ``issue`` is none.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -282,9 +281,11 @@ def open_forecasts(path: str | Path) -> Any:
     file = Path(path) / FILE if Path(path).is_dir() else Path(path)
     if not file.is_file():
         raise RunError(f"{path}: holds no forecasts (expected a run's folder with {FILE}, or that file)")
-    os.environ.setdefault("HDF5_USE_FILE_LOCKING", "FALSE")
     try:
         found = xarray.open_dataset(file, engine="netcdf4", decode_times=False)
     except (OSError, ValueError) as error:
         raise RunError(f"{file}: cannot be read as netCDF ({' '.join(str(error).split())})") from error
+    if "issue" not in found.variables:  # a run is making the file just now, or it is another one
+        found.close()
+        raise RunError(f"{file}: holds no forecasts (expected the variable 'issue')")
     return found.isel(issue=np.flatnonzero(found["issue"].values < NO_TIME))
