@@ -130,15 +130,15 @@ REDUCED = {
         f"{BENCHMARKS} --list ",
         "the tests of the benchmarks run them in their short form; those of other sizes are the same code",
     ),
-    r"python -m benchmarks\.kills$": (f"{BENCHMARKS}.kills --kills 1", "tests/test_kills.py kills more"),
-    r"python -m benchmarks\.live_kills$": (f"{BENCHMARKS}.live_kills --kills 1", "tests/studies kill more"),
+    r"python -m benchmarks\.kills.*$": (f"{BENCHMARKS}.kills --kills 1", "tests/test_kills.py kills more"),
+    r"python -m benchmarks\.live_kills.*$": (f"{BENCHMARKS}.live_kills --kills 1", "tests/studies kill more"),
     r"python -m benchmarks\.live_memory$": (f"{BENCHMARKS}.live_memory --readings 2000", "a million take a minute"),
     r"(OMP_NUM_THREADS=1 )?python -m benchmarks\.live_load.*$": (
         f"{BENCHMARKS}.live_load --help",
         "needs a broker",
     ),
     r"(OMP_NUM_THREADS=1 )?python -m benchmarks\.live_err.*$": (f"{BENCHMARKS}.live_err --help", "takes minutes"),
-    r"python -m benchmarks\.fuzz.*$": (f"{BENCHMARKS}.fuzz --cases 7", "tests/test_fuzz.py has more"),
+    r"python -m benchmarks\.fuzz.*$": (f"{BENCHMARKS}.fuzz --cases 8", "tests/test_fuzz.py has more"),
     r"python -m benchmarks\.mismatch.*$": (
         f"{BENCHMARKS}.mismatch cycles=2 members=3 {MESH} {BASIS} --truths amount_off --seeds 1000",
         "one truth, one seed, two cycles, the mesh and the basis above",

@@ -21,6 +21,7 @@ from dafw.core.forecasts.ahead import Ahead, Course
 from dafw.core.forecasts.areas import Places
 from dafw.core.forecasts.chances import chance, exceeded, quantile
 from dafw.core.forecasts.plan import ForecastPlan
+from dafw.core.run_layout import CACHE
 from dafw.core.runs import NO_TIME
 from dafw.core.space import Array
 from dafw.core.ugrid import write_domain
@@ -136,7 +137,7 @@ class ForecastFile:
         sizes = [1 if dim == "issue" else len(self._file.dimensions[dim]) for dim in dims]
         # A coordinate has no missing values (CF), so a row that is not complete has netCDF's own large number there.
         fill = None if dims == (name,) else np.nan
-        made = self._file.createVariable(name, dtype, dims, fill_value=fill, chunksizes=sizes)
+        made = self._file.createVariable(name, dtype, dims, fill_value=fill, chunksizes=sizes, chunk_cache=CACHE)
         made.setncatts({"units": units, "long_name": long_name, **attributes})
         made.set_auto_maskandscale(False)
 
