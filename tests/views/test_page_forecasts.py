@@ -77,6 +77,7 @@ def test_areas_have_their_probability_and_times_as_texts(page, plant_run):
 def test_a_phone_shows_it_without_scrolling_sideways(browser, folder):
     opened = open_page(browser, folder / "report.html", viewport={"width": 390, "height": 844})
     assert opened.find("#forecast").is_visible() and opened.overflow() <= 0
+    assert opened.find("#forecast-threshold").bounding_box()["width"] > 100.0, "its value can be read"
     opened.tab.close()
 
 
