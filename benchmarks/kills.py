@@ -108,6 +108,16 @@ def forked(work: Callable[[], Any], prepare: Callable[[], None] | None, seconds:
     return Ended(os.waitpid(process, 0)[1], said)
 
 
+def started(work: Callable[[], Any]) -> int:
+    """Do something in a process of its own; return its number."""
+    if not (process := os.fork()):
+        try:
+            work()
+        finally:
+            os._exit(0)
+    return process
+
+
 def kill() -> None:
     """End this process as a power cut would."""
     os.kill(os.getpid(), signal.SIGKILL)

@@ -10,7 +10,7 @@ clock, and by the processor: that of a run which waits for nothing but readings 
 those that the process has used. On a machine with other work only the second means something. ``--speed 8`` lets eight
 seconds of the study pass in one of the clock; ``--speed 0`` sends as soon as the run is less than two cycles behind,
 and then only the lag by the processor is told. The exit status is 1 if a reading was lost, or a lag was above
-``--most`` (2) cycles after the first ``--warm`` (5) cycles.
+``--most`` (2) cycles after the first ``--warm`` (0) cycles.
 """
 
 from __future__ import annotations
@@ -128,7 +128,7 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--sd", type=float, default=0.01, help="error of a reading")
     parser.add_argument("--experiment", default="live", help="the study")
     parser.add_argument("--most", type=float, default=2.0, help="the largest lag that is allowed, in cycles")
-    parser.add_argument("--warm", type=int, default=5, help="first cycles whose lag does not count")
+    parser.add_argument("--warm", type=int, default=0, help="first cycles whose lag does not count")
     parser.add_argument("words", nargs="*", help="further words of the run")
     asked = parser.parse_intermixed_args(words)
     with tempfile.TemporaryDirectory(prefix="dafw-load-") as name:
@@ -162,7 +162,10 @@ def main(words: Sequence[str] | None = None) -> int:
     if asked.speed == 0.0:
         del lags["by the clock"]
     for name, lag in lags.items():
-        print(f"lag {name}, after {asked.warm} cycles: at most {lag.max():.2f} cycles, median {np.median(lag):.2f}")
+        half, most = np.quantile(lag, [0.5, 0.99])
+        print(
+            f"lag {name}, in cycles, of {lag.size} beliefs: median {half:.2f}, 99 % {most:.2f}, at most {lag.max():.2f}"
+        )
     return 0 if used == sent and max(lag.max() for lag in lags.values()) <= asked.most else 1
 
 

@@ -4,7 +4,9 @@
 ``chromium`` on ``PATH``, or what DAFW_BROWSER names. "open" is the median time from the request to the first drawing.
 While every frame shows another time, "draw" is what the page's own scripts take for a frame, and "frame" the time from
 one frame to the next (``requestAnimationFrame``), in which the browser puts the picture together by software, too; both
-as median and 95 %. ``--picture`` writes a picture of the page at 40 % of the run.
+as median and 95 %. "processor" is the mean time that a frame keeps a processor busy in the page's main thread, which
+waits for nobody: scripts, style, layout, painting, handing over. Unlike the others it hardly depends on what else the
+machine does. ``--picture`` writes a picture of the page at 40 % of the run.
 """
 
 from __future__ import annotations
@@ -28,6 +30,7 @@ VIEWS = {
 }
 PLAY = """async (frames) => {
     const { player } = window.dafw;
+    player.playing = true;
     const [costs, times] = [[], []];
     for (let k = 0; k < frames; k += 1) {
         times.push(await new Promise(requestAnimationFrame));
@@ -42,11 +45,14 @@ PLAY = """async (frames) => {
 
 @dataclass(frozen=True)
 class Measured:
-    """A page in one window: milliseconds until it is drawn; of each frame, those of the scripts and since the last."""
+    """A page in one window, in milliseconds: until it is drawn; of each frame, those of the scripts and since the last;
+    of a frame on average, those of a processor in the main thread.
+    """
 
     open: float
     draws: Sequence[float]
     intervals: Sequence[float]
+    processor: float
 
     @property
     def draw(self) -> float:
@@ -56,16 +62,26 @@ class Measured:
 
 def measured(browser: Any, file: Path, view: str, loads: int = 5, frames: int = 300) -> Measured:
     """Open the page several times, then show other times in as many frames."""
-    opened, found = [], {}
+    opened, found, spent = [], {}, 0.0
     for load in range(loads):
         tab = browser.new_page(**VIEWS[view])
         tab.goto(file.resolve().as_uri())
         tab.wait_for_selector("html[data-ready]")
         opened.append(tab.evaluate("() => performance.now()"))
         if load == loads - 1:
+            session = tab.context.new_cdp_session(tab)
+            session.send("Performance.enable", {"timeDomain": "threadTicks"})
+            begun = _busy(session)
             found = tab.evaluate(PLAY, frames)
+            spent = 1000.0 * (_busy(session) - begun) / frames
         tab.close()
-    return Measured(median(opened), found["costs"], found["intervals"])
+    return Measured(median(opened), found["costs"], found["intervals"], spent)
+
+
+def _busy(session: Any) -> float:
+    """Return the seconds for which the main thread of a page has kept a processor busy."""
+    metrics = session.send("Performance.getMetrics")["metrics"]
+    return float(next(one["value"] for one in metrics if one["name"] == "TaskDuration"))
 
 
 def told(milliseconds: Sequence[float]) -> str:
@@ -105,10 +121,11 @@ def main(words: Sequence[str] | None = None) -> int:
         file = write_report(asked.run, Path(folder, "report.html"))
         print(f"{file.stat().st_size / 1e6:.2f} MB, written in {process_time() - begun:.1f} s of processor time\n")
         browser = playwright.chromium.launch(executable_path=path)
-        print("| window | open | draw: median, 95 % | frame: median, 95 % |\n|---|---|---|---|")
+        print("| window | open | draw: median, 95 % | frame: median, 95 % | processor |\n|---|---|---|---|---|")
         for view in VIEWS:
             one = measured(browser, file, view)
-            print(f"| {view} | {one.open:.0f} ms | {told(one.draws)} | {told(one.intervals)} |", flush=True)
+            cells = [f"{one.open:.0f} ms", told(one.draws), told(one.intervals), f"{one.processor:.1f} ms"]
+            print(f"| {' | '.join([view, *cells])} |", flush=True)
         if asked.picture is not None:
             picture(browser, file, asked.picture)
         browser.close()

@@ -5,8 +5,12 @@ Everything that a study or a plugin package needs can be imported from here; it 
 
 from __future__ import annotations
 
+import os
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
+
+# HDF5 would refuse to open a file that a run is writing, and reads this when it is loaded: so before netCDF4 is.
+os.environ.setdefault("HDF5_USE_FILE_LOCKING", "FALSE")
 
 if TYPE_CHECKING:
     from dafw.authoring.function import model_from_function

@@ -4,10 +4,11 @@ import os
 
 import pytest
 
+import dafw  # noqa: F401 - before any test module loads netCDF4, so that files that are being written can be read
+
 # One thread: the matrices of the tests are small, and CI has two cores.
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
-os.environ.setdefault("HDF5_USE_FILE_LOCKING", "FALSE")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -77,7 +77,22 @@ def environment() -> Environment:
     (Path(site.stdout.strip()) / "dependencies.pth").write_text(sysconfig.get_path("purelib") + "\n")
     installed = fresh.run("python", "-m", "pip", "install", *(folder / "wheels").glob("*.whl"), cwd=folder)
     assert installed.returncode == 0, installed.stderr
+    copy_loops(ROOT / "dafw", Path(site.stdout.strip()) / "dafw")
     return fresh
+
+
+def copy_loops(source: Path, target: Path) -> None:
+    """Copy what numba has compiled of the same modules, which takes it long; it knows them by their size and time."""
+    for index in source.rglob("*.nbi"):
+        module = index.relative_to(source).parent.parent / f"{index.name.partition('.')[0]}.py"
+        both = (source / module, target / module)
+        if all(one.is_file() for one in both) and both[0].read_bytes() == both[1].read_bytes():
+            at = (source / module).stat()
+            os.utime(target / module, ns=(at.st_atime_ns, at.st_mtime_ns))
+            kept = (target / module).parent / "__pycache__"
+            kept.mkdir(exist_ok=True)
+            for file in index.parent.glob(f"{module.stem}.*.nb?"):
+                shutil.copy2(file, kept)
 
 
 @cache

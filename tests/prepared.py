@@ -1,18 +1,19 @@
 """A Python process that has imported the libraries, and forks itself for each command.
 
 Half of what a short ``dafw`` command takes is the import of libraries. So the pages of the documentation, with some two
-hundred commands, are tried with copies of a process that has done this once. It also has dafw's own modules, but has
-not looked for plugins: those may be installed meanwhile. What starts threads or MPI, which a fork would not survive, is
-imported by each copy.
+hundred commands, are tried with copies of a process that has done this once. It also has dafw's own modules, and has
+composed a study; a copy looks for plugins anew, because some may be installed meanwhile. What starts threads or MPI,
+which a fork would not survive, is imported by each copy; its libraries are loaded once.
 
     PYTHON prepared.py FOLDER    serve; FOLDER gets ``dafw`` and ``python``, which send a command and wait for its end
 
-``python`` does so only for ``python FILE ARGUMENTS``; all else goes to the interpreter itself.
+``python`` does so for ``python FILE ARGUMENTS`` and ``python -m MODULE ARGUMENTS``; all else goes to the interpreter.
 """
 
 from __future__ import annotations
 
 import array
+import ctypes
 import gc
 import importlib
 import json
@@ -52,10 +53,13 @@ LIBRARIES = (
     "dafw.views",
 )
 
+SHARED = ("mpi4py/MPI.mpich.*.so", "petsc4py/lib/PETSc.*.so", "dolfinx/cpp.*.so")
+"""Libraries that take a while to load; modules of that name are not imported, which would start MPI."""
+
 CLIENT = """#!{python} -IS
 import os, socket, sys
 words = [{program!r}, *sys.argv[1:]]
-if words[0] == "python" and (len(words) == 1 or words[1].startswith("-")):
+if words[0] == "python" and (len(words) == 1 or words[1].startswith("-") and words[1] != "-m"):
     os.execv({python!r}, [{python!r}, *words[1:]])
 from json import dumps
 here = socket.socket(socket.AF_UNIX)
@@ -131,6 +135,11 @@ def main() -> None:
         importlib.import_module(library)
     for spec in importlib.import_module("dafw.plugins").dafw_plugins():
         importlib.import_module(spec.target.partition(":")[0])
+    composition = importlib.import_module("dafw.core.composition")
+    composition.compose([])
+    importlib.import_module("dafw.core.registry").registry.cache_clear()
+    for library in [found for place in sys.path for pattern in SHARED for found in Path(place).glob(pattern)]:
+        ctypes.CDLL(str(library))
     unsafe = {"dolfinx", "mpi4py.MPI", "petsc4py.PETSc"} & sys.modules.keys()
     assert not unsafe and threading.active_count() == 1, f"a fork would not survive {unsafe or 'threads'}"
     sys.modules["numba"].njit(lambda number: number)(1)  # numba prepares itself when it compiles for the first time
@@ -144,6 +153,12 @@ def main() -> None:
     program, *_ = serve(address)["words"]
     if program == "dafw":
         sys.argv[0] = str(programs / "dafw")
+    elif sys.argv[1] == "-m":
+        sys.argv = sys.argv[2:]
+        # The environment's dafw stays what it is, also where the variable names a checkout with others.
+        sys.path[:] = [str(Path.cwd()), *sys.path, *filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep))]
+        runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)
+        return
     else:
         sys.argv = sys.argv[1:]
         sys.path.insert(0, str(Path(sys.argv[0]).resolve().parent))

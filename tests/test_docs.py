@@ -130,15 +130,15 @@ REDUCED = {
         f"{BENCHMARKS} --list ",
         "the tests of the benchmarks run them in their short form; those of other sizes are the same code",
     ),
-    r"python -m benchmarks\.kills$": (f"{BENCHMARKS}.kills --kills 1", "tests/test_kills.py kills more"),
-    r"python -m benchmarks\.live_kills$": (f"{BENCHMARKS}.live_kills --kills 1", "tests/studies kill more"),
+    r"python -m benchmarks\.kills.*$": (f"{BENCHMARKS}.kills --kills 1", "tests/test_kills.py kills more"),
+    r"python -m benchmarks\.live_kills.*$": (f"{BENCHMARKS}.live_kills --kills 1", "tests/studies kill more"),
     r"python -m benchmarks\.live_memory$": (f"{BENCHMARKS}.live_memory --readings 2000", "a million take a minute"),
     r"(OMP_NUM_THREADS=1 )?python -m benchmarks\.live_load.*$": (
         f"{BENCHMARKS}.live_load --help",
         "needs a broker",
     ),
     r"(OMP_NUM_THREADS=1 )?python -m benchmarks\.live_err.*$": (f"{BENCHMARKS}.live_err --help", "takes minutes"),
-    r"python -m benchmarks\.fuzz.*$": (f"{BENCHMARKS}.fuzz --cases 7", "tests/test_fuzz.py has more"),
+    r"python -m benchmarks\.fuzz.*$": (f"{BENCHMARKS}.fuzz --cases 8", "tests/test_fuzz.py has more"),
     r"python -m benchmarks\.mismatch.*$": (
         f"{BENCHMARKS}.mismatch cycles=2 members=3 {MESH} {BASIS} --truths amount_off --seeds 1000",
         "one truth, one seed, two cycles, the mesh and the basis above",
@@ -154,7 +154,7 @@ REDUCED = {
 OMITTED = {
     r"^dafw simulate .* &$": "needs a broker, which tests/plugins/readings/test_live_mqtt.py has",
     r"^dafw site preview .* --serve$": "serves until Ctrl-C; tests/views/test_site_preview.py does it",
-    r"^uv build |^pip install dist/": "tests/fresh.py does this without a registry",
+    r"^pip wheel |^pip install dist/": "tests/fresh.py does this without a registry",
     r"^uv pip compile ": "asks a package registry, and would write the lock file",
     r"l96\.etkf_over_dapper": "downloads DAPPER into an environment of its own",
     r"esmda\.difference_from_pyesmda": "downloads pyESMDA into an environment of its own",

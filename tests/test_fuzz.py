@@ -31,6 +31,7 @@ from benchmarks import fuzz
 from benchmarks.fuzzing import targets
 
 def wrong(folder, rng):
+    (folder / "a.csv").write_text("the input")
     kind = rng.choice(("raises", "dies", "hangs", "says two lines"))
     if kind == "raises":
         {}["a key"]
@@ -44,16 +45,22 @@ def wrong(folder, rng):
 from dafw.core.errors import ReadingsError as fuzz_error
 targets.TARGETS["csv"] = wrong
 fuzz.HANGS = 0.3
-sys.exit(fuzz.main(["--only", "csv", "--cases", "20"]))
+sys.exit(fuzz.main(["--only", "csv", "--cases", "20", "--keep", sys.argv[1]]))
 """
 
 
-def test_what_raises_dies_or_hangs_is_found():
-    done = subprocess.run([sys.executable, "-c", BROKEN], cwd=ROOT, capture_output=True, text=True, check=False)
+def test_what_raises_dies_or_hangs_is_found_and_the_last_input_of_what_died_is_kept(tmp_path):
+    words = [sys.executable, "-c", BROKEN, tmp_path]
+    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 1
     for word in ("KeyError at", "is ended by SIGSEGV", "does not end", "AssertionError at"):
         assert done.stdout.count(f"csv: FOUND: {word}") + done.stdout.count(f"csv: {word}") == 1, done.stdout
     assert done.stdout.splitlines()[-1] == "4 findings"
+    kept = sorted(tmp_path.iterdir())
+    assert kept and all((one / "case" / "a.csv").read_text() == "the input" for one in kept)
+    traces = [(one / "trace.txt").read_text() for one in kept]
+    assert all("in wrong" in trace for trace in traces) and any("Segmentation fault" in trace for trace in traces)
+    assert "--only csv --first " in (kept[0] / "again.txt").read_text()
 
 
 @pytest.mark.parametrize("target", TARGETS)

@@ -1,4 +1,4 @@
-"""What reads broken input: files of readings, of buildings, feeds, journals and checkpoints.
+"""What reads broken input: files of readings, of buildings, feeds, journals, inboxes and checkpoints.
 
 Each function is given a folder of its own and a generator. It returns how the input was taken: "read", or the first
 words of the error in one line with which it was refused. Whatever else it raises is a finding.
@@ -19,6 +19,8 @@ from benchmarks.fuzzing.spoiling import dataset, spoiled, spoiled_json
 from dafw import Domain, Request, StateSpace, Variable
 from dafw.core.errors import ContractError, DafwError, NoMoreReadingsError
 from dafw.core.observation import nothing
+from dafw.plugins.readings.feed.inbox import FILE as INBOX
+from dafw.plugins.readings.feed.inbox import Inbox
 from dafw.plugins.readings.feed.journal import FILE
 from dafw.plugins.readings.live import Live
 from dafw.plugins.readings.recorded import Recorded
@@ -211,6 +213,24 @@ def journal(folder: Path, rng: Random) -> str:
     return taken(source)
 
 
+def inbox(folder: Path, rng: Random) -> str:
+    """Read the inbox of a run that heard a broker, and go on with it."""
+    head = {"inbox": 1, "begins": rng.choice((0, 1000)), "client": "a"}
+    first = spoiled_json(head, rng) if rng.random() < 0.3 else json.dumps(head).encode()
+    data = first + b"\n" + _lines(rng)
+    (folder / INBOX).write_bytes(spoiled(data, rng) if rng.random() < 0.3 else data)
+    try:
+        opened = Inbox(folder / INBOX, rng.choice((0, 500, 1200, 10**6)), "a")
+    except DafwError as error:
+        return refused(error)
+    (line,) = opened.put([b"after"])
+    again = Inbox(folder / INBOX, opened.waiting[-1].end if opened.waiting else 0, "a")
+    assert again.waiting[-1] == line
+    for one in (opened, again):
+        one.close(empty=False)
+    return "read"
+
+
 def checkpoint(folder: Path, rng: Random) -> str:
     """Read a checkpoint, and the journal of rows beside it."""
     from dafw.core.checkpoints.checkpoint_file import read_checkpoint
@@ -246,5 +266,5 @@ def _checkpoint(folder: Path) -> tuple[bytes, bytes]:
 
 
 TARGETS: dict[str, Callable[[Path, Random], str]] = {
-    one.__name__: one for one in (csv, geojson, netcdf, site, feed, journal, checkpoint)
+    one.__name__: one for one in (csv, geojson, netcdf, site, feed, journal, inbox, checkpoint)
 }

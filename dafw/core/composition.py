@@ -10,7 +10,6 @@ from __future__ import annotations
 import dataclasses
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,6 @@ from hydra import version as hydra_version
 from hydra._internal.hydra import Hydra
 from hydra._internal.utils import create_config_search_path
 from hydra.core.config_search_path import SearchPathQuery
-from hydra.core.config_store import ConfigStore
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 from hydra.types import RunMode
@@ -28,9 +26,9 @@ from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 
 from dafw.core.config_loader import StudyLoader
 from dafw.core.errors import ConfigurationError, OptionError, PluginError
-from dafw.core.experiment import StudyOptions
-from dafw.core.options import schema, unknown_option
+from dafw.core.options import unknown_option
 from dafw.core.registry import KINDS, registry
+from dafw.core.schemas import register_schemas
 
 # Names that Hydra may instantiate: launchers and sweepers installed as Hydra plugins, and logging's plain handlers.
 HARMLESS = re.compile(
@@ -45,20 +43,6 @@ def config_folder() -> Path:
     package = Path(__file__).resolve().parent.parent
     installed = package / "conf"
     return installed if installed.is_dir() else package.parent / "conf"
-
-
-def register_schemas() -> None:
-    """Tell Hydra about the study and every plugin that can be imported, unless its store, one a process, has them."""
-    store = ConfigStore.instance()
-    if "study.yaml" not in store.repo:
-        store.store(name="study", node=schema(StudyOptions))
-    for registered in registry().plugins():
-        kind, name = registered.spec.kind, registered.spec.name
-        if f"{name}.yaml" in store.repo.get(kind, {}):
-            continue
-        # A plugin that cannot be composed is left out: asked for by name, it says why.
-        with suppress(PluginError, OmegaConfBaseException):
-            store.store(group=kind, name=name, node=registry().schema(kind, name), provider=registered.package)
 
 
 def _require_composable(kind: str, name: str) -> None:

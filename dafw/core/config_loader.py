@@ -22,7 +22,7 @@ from pathlib import PurePosixPath
 from typing import Any
 
 from hydra._internal.config_loader_impl import ConfigLoaderImpl
-from hydra._internal.config_repository import CachingConfigRepository, ConfigRepository, IConfigRepository
+from hydra._internal.config_repository import CachingConfigRepository, IConfigRepository
 from hydra.core.config_search_path import ConfigSearchPath
 from hydra.core.default_element import GroupDefault, InputDefault, ResultDefault
 from hydra.core.override_parser.types import ChoiceSweep, Override, OverrideType, ValueType
@@ -30,6 +30,7 @@ from hydra.plugins.config_source import ConfigResult
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf, open_dict
 
+from dafw.core.config_sources import Kept, KeptSources
 from dafw.core.registry import KINDS
 
 ROLES = ("truth", "free")
@@ -38,17 +39,8 @@ ROLES = ("truth", "free")
 KEPT = 100
 """How many compositions are kept, of about a megabyte each; a multirun may have thousands of jobs."""
 
-
-class _Sources(ConfigRepository):
-    """Where configurations are looked up. A copy shares the sources, which nobody changes; its list is its own.
-
-    Hydra makes a copy for each composition. To copy the options of all plugins with it would take a fifth of the time.
-    """
-
-    def __deepcopy__(self, memo: dict[int, Any]) -> _Sources:
-        one = copy.copy(self)
-        one.sources = list(self.sources)
-        return one
+_TOGETHER = Kept(50)
+"""What the files of a study are together, before the command line changes them."""
 
 
 class StudyLoader(ConfigLoaderImpl):
@@ -56,13 +48,13 @@ class StudyLoader(ConfigLoaderImpl):
 
     _made: dict[object, DictConfig]
     _multirun = False
-    _appended: Container[str] = ()
+    _appended: Sequence[str] = ()
     _named_roles: Mapping[str, str]
     _foreign: Mapping[str, set[str]]
 
     def __init__(self, config_search_path: ConfigSearchPath) -> None:
         super().__init__(config_search_path)
-        self.repository = _Sources(config_search_path)
+        self.repository = KeptSources(config_search_path)
         self._made = {}
 
     def __getstate__(self) -> dict[str, Any]:
@@ -113,6 +105,16 @@ class StudyLoader(ConfigLoaderImpl):
         return parsed, repo
 
     def _compose_config_from_defaults_list(self, defaults: list[ResultDefault], repo: IConfigRepository) -> DictConfig:
+        """Return what the chosen files are together; it is kept, because the runs of a study differ in less."""
+        files = [repo.load_config(str(default.config_path)) for default in defaults]
+        chosen = tuple((one.config_path, one.parent, one.package, one.is_self, one.primary) for one in defaults)
+        asked = (chosen, tuple(self._appended), tuple(sorted(self._named_roles.items())))
+        together: DictConfig = _TOGETHER.copy_of(
+            asked, [file and file.config for file in files], lambda: self._together(defaults, repo)
+        )
+        return together
+
+    def _together(self, defaults: list[ResultDefault], repo: IConfigRepository) -> DictConfig:
         self._foreign = _Files(defaults, repo, self._appended).foreign(self._named_roles)
         config = super()._compose_config_from_defaults_list(defaults, repo)
         for key, node in config.items_ex(resolve=False):
@@ -122,13 +124,16 @@ class StudyLoader(ConfigLoaderImpl):
 
     def _load_single_config(self, default: ResultDefault, repo: IConfigRepository) -> ConfigResult:
         loaded = super()._load_single_config(default, repo)
-        foreign = self._foreign.get(str(default.config_path))
+        foreign = self._foreign.get(str(default.config_path), set())
+        # What is embedded in a package is a copy already.
+        kept = repo.load_config(str(default.config_path))
+        if foreign or (kept is not None and loaded.config is kept.config):
+            # Its nodes become nodes of the study, where they are changed.
+            loaded = replace(loaded, config=copy.deepcopy(loaded.config))
         if foreign and isinstance(loaded.config, DictConfig):
-            config = copy.deepcopy(loaded.config)
-            with open_dict(config):
+            with open_dict(loaded.config):
                 for key in foreign:
-                    config.pop(key)
-            loaded = replace(loaded, config=config)
+                    loaded.config.pop(key)
         return loaded
 
 

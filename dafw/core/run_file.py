@@ -61,7 +61,7 @@ class RunFile:
             raise RunError(f"{path}: cannot be written, or holds a run already ({error}){hint}") from error
         self._sensors: dict[str, int] = {}
         self._written = 0
-        self._begun: dict[str, bool] = {}  # variables that hold anything: whether they are of readings
+        self._extents: dict[str, tuple[int, int]] = {}  # of the variables of readings that have values
         scored = parts.model.space.variables[0].name
         self._file.setncatts({"Conventions": "CF-1.11 UGRID-1.0", "scored_variable": scored, **attributes})
         self._layout = RunLayout(
@@ -126,20 +126,23 @@ class RunFile:
         for name, block in blocks.items():
             if block.size:
                 self._file.variables[name][(slice(first, last), *map(slice, block.shape[1:]))] = block
-                self._begun[name] = "observation" in self._file.variables[name].dimensions
+                if name.startswith("observation_"):
+                    _, width = self._extents.get(name, (0, 0))
+                    self._extents[name] = last, max(width, block.shape[1])
         self._written = last
-        self._extend_readings(blocks)
+        self._extend()
 
-    def _extend_readings(self, blocks: Mapping[str, Any]) -> None:
-        """Let variables of readings that hold anything have as many rows and columns as their dimensions.
+    def _extend(self) -> None:
+        """Give all variables of readings the same extent.
 
-        The netCDF library fills what a variable lacks when it is read. With two unlimited dimensions it fills too
-        little, and a reader gets what its memory held. A missing value in the last place is enough.
+        Of a variable with two dimensions that grow, netCDF reads wrong numbers if it was not written as far as others
+        were (seen with netCDF 4.10.1).
         """
-        width = len(self._file.dimensions["observation"])
-        for name in (name for name, of_readings in self._begun.items() if of_readings):
-            if name not in blocks or blocks[name].shape[1] < width:
-                self._file.variables[name][self._written - 1, width - 1] = self._fills[name]
+        widest = max((width for _, width in self._extents.values()), default=0)
+        for name, extent in self._extents.items():
+            if extent != (self._written, widest):
+                self._file.variables[name][self._written - 1, widest - 1] = self._fills[name]
+                self._extents[name] = self._written, widest
 
     def is_field(self, name: str) -> bool:
         """Return whether a variable holds a state variable with several numbers, such as one on a mesh."""

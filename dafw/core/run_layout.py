@@ -14,6 +14,8 @@ from dafw.core.space import Array, Kind, StateSpace, Variable
 from dafw.core.ugrid import write_domain
 
 CHUNK_NUMBERS = 4096
+CACHE, READINGS_CACHE = 1 << 16, 1 << 18
+"""Bytes of a variable, and of one of readings, that HDF5 may hold in memory. By default it holds 64 MB of each."""
 USES = ("used", "used_in_window", "dropped")
 """How a reading was used: at the end of its row's cycle, late but within the filter's window, or not at all."""
 KIND_NOTES = {
@@ -94,12 +96,13 @@ class RunLayout:
         fill = {"f": np.nan, "i": -1}[dtype[0]] if dtype != "i8" else np.iinfo(np.int64).min
         # Short rows share a chunk.
         chunks = [max(1, min(1024, CHUNK_NUMBERS // max(1, math.prod(sizes[1:])))), *sizes[1:]]
+        cache = CACHE
         if "observation" in dims:
-            chunks = [64, 16]
+            chunks, cache = [64, 16], READINGS_CACHE
         # A coordinate has no missing values (CF).
         given = None if dims == (name,) else fill
         variable = self._file.createVariable(
-            name, dtype, dims, fill_value=given, chunksizes=chunks if 0 not in chunks else None
+            name, dtype, dims, fill_value=given, chunksizes=chunks if 0 not in chunks else None, chunk_cache=cache
         )
         variable.setncatts({"units": units, "long_name": long_name, **attributes})
         # Written values already have the variable's type and are never masked, so netCDF4 need not convert them.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,8 +31,6 @@ def open_run(path: str | Path) -> xarray.Dataset:
     file = Path(path) / "run.nc" if Path(path).is_dir() else Path(path)
     if not file.is_file():
         raise RunError(f"{path}: holds no run (expected a run's folder or its run.nc)")
-    # HDF5 would refuse to open the file while a run is writing it and holds its lock.
-    os.environ.setdefault("HDF5_USE_FILE_LOCKING", "FALSE")
     try:
         # Keep times and phases as plain numbers of seconds; xarray would convert them to timedelta.
         found = xarray.open_dataset(file, engine="netcdf4", decode_times=False)

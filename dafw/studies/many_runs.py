@@ -23,6 +23,7 @@ from dafw.core.errors import ConfigurationError, RunError
 from dafw.core.experiment import study_from
 from dafw.core.files import write_atomically
 from dafw.core.progress import progress
+from dafw.core.study import Study
 from dafw.core.workers import cores
 from dafw.studies.floors import composed_for_floors, find_floors, named
 from dafw.studies.reporting import log_file
@@ -59,13 +60,21 @@ def composed(study: ManyRuns, more: Path | None = None) -> dict[str, Any]:
         words = list(one.overrides)
         try:
             values = study_part(compose(words, more, hydra=hydra))
-            study_from(values)
+            _require_own_source(study_from(values))
         except ConfigurationError as error:
             raise named(one, advised(error, words, more)) from error
         for name in ("seed", "resume", "checkpoint"):  # they do not tell one configuration from another
             values.pop(name)
         found[one.name] = json.loads(json.dumps(values))
     return found
+
+
+def _require_own_source(study: Study) -> None:
+    """Raise ConfigurationError for readings that come through standard input, which the runs cannot share."""
+    if study.readings.reads_standard_input:
+        raise ConfigurationError(
+            f"{study.readings.label}: the runs of a study have no standard input to read from: expected another source"
+        )
 
 
 def run_missing(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shlex
 from pathlib import Path
 from typing import Any
@@ -27,7 +28,7 @@ def write_page(path: Path, file: Path | None = None, *, runs: bool = False) -> P
     folder = path if path.is_dir() else path.parent
     if path.name == "study.nc" or (path / "study.nc").is_file():
         results, summary = results_of_study(folder)
-        command = _study_command(summary)
+        command = _study_command(folder, summary)
     elif path.name == RECORD or (is_sweep(path) and not (path / "run.nc").exists()):
         folder = sweep_folder(path)
         results = results_of_sweep(folder)
@@ -56,7 +57,15 @@ def _write_pages_of_runs(places: list[Path]) -> None:
             bar.update()
 
 
-def _study_command(summary: dict[str, Any]) -> str:
+def _study_command(folder: Path, summary: dict[str, Any]) -> str:
+    """Return the command that the folder keeps; of older folders one with the name and the seeds of the study."""
+    from dafw.studies.many_runs import REQUEST  # here, because it loads Hydra, which the page of a run does not need
+
+    try:
+        told = json.loads((folder / REQUEST).read_text(encoding="utf-8"))
+        return shlex.join(["dafw", "study", *map(str, told["command"]["words"])])
+    except (OSError, ValueError, LookupError, TypeError):
+        pass
     seeds = [int(seed) for seed in summary.get("seeds", [])]
     text = ",".join(map(str, seeds))
     if len(seeds) > 1 and seeds == list(range(seeds[0], seeds[-1] + 1)):

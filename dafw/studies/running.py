@@ -38,6 +38,7 @@ from dafw.studies.advice import Advice
 from dafw.studies.checkpointing import LATER, Checkpointing
 from dafw.studies.forecasting import Forecasting
 from dafw.studies.pictures import draw_pictures
+from dafw.studies.rehearsing import rehearse
 from dafw.studies.reporting import closing_line, log_domain, log_file, postfix, sentence, warn_once
 from dafw.studies.resuming import (
     cleared,
@@ -198,6 +199,8 @@ class _Run:
         with self._writing:
             record = self._open(parts, first)
         self._between, logged = state, 0.0
+        if study.readings.is_live and before is None:
+            rehearse(parts, first)
         self.advice = Advice(study, parts, self.folder)
         with progress(study.cycles, "cycle", done=state.cycle) as bar:
             for done in range(state.cycle + 1, study.cycles + 1):

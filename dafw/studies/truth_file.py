@@ -15,6 +15,7 @@ import numpy as np
 from dafw.core.diagnostics import error_of
 from dafw.core.ensemble import Ensemble
 from dafw.core.errors import RunError
+from dafw.core.run_layout import CACHE
 from dafw.core.runs import open_run
 from dafw.core.space import Array, Kind, StateSpace, Variable
 
@@ -42,7 +43,7 @@ class TruthFile:
             if variable.size > 1:
                 self._file.createDimension(f"{variable.name}_entry", variable.size)
                 dims = ("time", f"{variable.name}_entry")
-            made = self._file.createVariable(f"{variable.name}_truth", "f8", dims)
+            made = self._file.createVariable(f"{variable.name}_truth", "f8", dims, chunk_cache=CACHE)
             title = f"{variable.long_name or variable.name.replace('_', ' ')}, truth"
             made.setncatts({"units": variable.units, "long_name": title, "kind": variable.kind.value})
 

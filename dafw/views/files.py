@@ -146,7 +146,7 @@ def load_run(file: Path) -> Dataset:
             # Whole ensembles of fields are large, and no picture shows them.
             large = [name for name, array in opened.variables.items() if {"member", "node"} <= set(array.dims)]
             run = opened.drop_vars(large).load()
-    except (OSError, ValueError, RuntimeError) as error:
+    except (OSError, ValueError, RuntimeError, LookupError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise RunError(f"cannot read {file} as a run: {reason}") from error
     try:

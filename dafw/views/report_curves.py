@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 STAGES = {"truth": "truth", "mean": "belief", "free": "free run", "smoothed_mean": "as revised later"}
 """What the page calls the stages of a state variable, in the order in which they are drawn."""
+REMARKS = {"wind_direction": "where it blows to, anticlockwise from the east"}
+"""What a reader could take for something else: in weather reports a wind's direction is where it comes from."""
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
@@ -142,6 +144,7 @@ def _scalar(run: Dataset, name: str) -> dict[str, Any]:
         "id": name,
         "title": spoken(name),
         "units": units,
+        "remark": REMARKS.get(name, ""),
         "lines": [_line(key, STAGES[key], values) for key, values in found.items()],
         "bands": [{"low": numbers(low), "high": numbers(high), "label": "± spread"}],
         "log": is_positive(run, name),

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from dafw.core.errors import RunError
 from dafw.core.forecasts.forecast_file import FILE, open_forecasts
 from dafw.views.contents import has_map
 from dafw.views.report_curves import numbers
@@ -23,14 +24,20 @@ def forecasts_of(run: Dataset, folder: Path, largest: int = LARGEST) -> dict[str
     """Return the forecasts in a run's folder; None if there are none, or nothing in the run has a place on a mesh.
 
     The maps are probabilities (issue * lead * threshold, node), packed in 8 bits. If they take more than ``largest``
-    bytes, every second, fourth, ... forecast is kept, and the last one. Raises RunError if they cannot be read.
+    bytes, every second, fourth, ... forecast is kept, and the last one. Raises RunError if they cannot be read, such as
+    in a moment in which a run writes them.
     """
     if not ((folder / FILE).is_file() and has_map(run)):
         return None
     with open_forecasts(folder) as opened:
-        names = ["exceedance_probability", "threshold", "lead", "quantile", "issue", "area_name"]
-        names += [f"area_{kind}" for kind in ("reach_probability", "arrival_time")]
-        found = opened[[name for name in names if name in opened.variables]].load()
+        names = ["exceedance_probability", "threshold", "lead", "quantile", "issue"]
+        if "area_name" in opened.variables:
+            names += ["area_name", "area_reach_probability", "area_arrival_time"]
+        try:
+            found = opened[names].load()
+        except (OSError, ValueError, RuntimeError, LookupError) as error:
+            reason = " ".join(str(error).split())
+            raise RunError(f"{folder / FILE}: cannot be read as forecasts ({reason})") from error
     count = found.sizes["issue"]
     if not count or found.sizes["node"] != run.sizes["node"]:
         return None

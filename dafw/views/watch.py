@@ -11,6 +11,7 @@ from typing import Any
 from urllib.parse import SplitResult, parse_qs
 
 from dafw.core.errors import RunError
+from dafw.core.forecasts.forecast_file import FILE as FORECASTS
 from dafw.core.runs import summary_of
 from dafw.views.files import load_run
 from dafw.views.local_server import LocalAnswers, LocalServer
@@ -20,7 +21,7 @@ from dafw.views.report_run import page_of_run
 ENDED = ("complete", "failed")
 """States of a run to which nothing is added any more. One that goes on is 'interrupted' until it has ended."""
 SHARE = 0.1
-"""The share of the time that reading the run may take, so that a large one is not slowed down by who looks at it."""
+"""The share of a processor that reading the run may take, so that a large one is not slowed down by who looks at it."""
 PAUSE = 0.5
 """Seconds between two looks for a run that has not begun."""
 PATIENCE = 10
@@ -28,12 +29,20 @@ PATIENCE = 10
 
 
 class Following:
-    """What is known of a run that may go on, read anew when its files have changed; all viewers share it."""
+    """What is known of a run that may go on, read anew when its files have changed; all viewers share it.
 
-    def __init__(self, folder: Path, clock: Callable[[], float] = time.monotonic) -> None:
-        self.folder, self._clock = folder, clock
+    ``clock`` tells the time, ``used`` the processor's time that reading has taken, both in seconds.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        clock: Callable[[], float] = time.monotonic,
+        used: Callable[[], float] = time.thread_time,
+    ) -> None:
+        self.folder, self._clock, self._used = folder, clock, used
         self._lock = Lock()
-        self._seen: tuple[float, str] | None = None
+        self._seen: tuple[float, float, str] | None = None
         self._due = 0.0
         self._data: dict[str, Any] | None = None
 
@@ -42,9 +51,12 @@ class Following:
         with self._lock:
             status = str(summary_of(self.folder).get("status", ""))
             try:
-                seen = ((self.folder / "run.nc").stat().st_mtime, status)
+                recorded = (self.folder / "run.nc").stat().st_mtime
             except OSError as error:
                 raise RunError(f"{self.folder}: holds no run (expected a run's folder)") from error
+            # A forecast is made after the row of its time was written, and the next row may be long in coming.
+            ahead = self.folder / FORECASTS
+            seen = (recorded, ahead.stat().st_mtime if ahead.exists() else 0.0, status)
             # What a run ends with is read at once.
             is_due = self._clock() >= self._due or status in ENDED
             if self._data is None or (seen != self._seen and is_due):
@@ -52,8 +64,8 @@ class Following:
             assert self._data is not None
             return self._data
 
-    def _read(self, seen: tuple[float, str]) -> None:
-        begun = self._clock()
+    def _read(self, seen: tuple[float, float, str]) -> None:
+        begun, is_first = self._used(), self._data is None
         try:
             data = page_of_run(load_run(self.folder / "run.nc"), self.folder)
         except RunError:
@@ -61,10 +73,13 @@ class Following:
                 raise
             return  # the run is writing just now: what was read before stays until the next question
         finally:
-            self._due = self._clock() + (self._clock() - begun) / SHARE
+            # The first reading loads the libraries, too, and says nothing of the next ones.
+            self._due = self._clock() + (0.0 if is_first else (self._used() - begun) / SHARE)
         self._seen = seen
-        state = f"{len(data['time']['values'])} {seen[1]}"
-        self._data = data | {"live": {"state": state, "ended": seen[1] in ENDED}}
+        status = seen[-1]
+        issues = len((data["forecasts"] or {"issues": []})["issues"])
+        state = f"{len(data['time']['values'])} {issues} {status}"
+        self._data = data | {"live": {"state": state, "ended": status in ENDED}}
 
 
 class Server(LocalServer):

@@ -212,6 +212,14 @@ def test_a_wrong_request_is_one_line_and_nothing_is_run(words, message, capsys):
     assert ages() == {}
 
 
+@pytest.mark.parametrize("source", ["-", "/dev/stdin"])
+def test_runs_of_a_study_cannot_read_standard_input(source, capsys):
+    write(configurations={"twin": [], "live": ["readings=live", f"readings.source={source}"]}, axes={})
+    line = refused(WORDS, capsys)
+    assert line.startswith("dafw: configuration 'live': readings 'live': the runs of a study have no standard input")
+    assert not Path("done").exists()
+
+
 def test_a_study_whose_floors_cannot_be_found_is_refused_before_its_runs(capsys):
     write(floor=True)
     line = "configuration 'filter=etkf': floor: model 'linear_advection' has no single numbers"

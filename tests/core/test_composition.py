@@ -12,6 +12,7 @@ from dafw import REQUIRED, ConfigurationError, DafwError, Filter, OptionError, P
 from dafw.core.composition import advised, compose, single_runs, study_part
 from dafw.core.experiment import merged, options_from, study_from
 from dafw.core.registry import Registered, registry
+from dafw.core.schemas import PluginSchemas
 
 LITERAL = "experiment=enie2d_literal"
 
@@ -204,6 +205,25 @@ def test_a_mistake_in_an_experiment_is_one_line_that_names_the_file(files):
             OptionError, match=f"^experiment/{name}: policy '(look_ahead|enie2d)': unknown option 'sektors'"
         ):
             study(where, f"experiment={name}")
+
+
+def test_a_file_that_changes_is_read_again(files):
+    for cycles in (3, 14):
+        assert study(files(mine=f"cycles: {cycles}\n"), "experiment=mine").cycles == cycles
+
+
+def test_what_is_changed_in_a_composition_is_not_in_the_next():
+    for overrides in ([LITERAL], [LITERAL, "seed=1"]):
+        composed = compose(overrides)
+        assert composed.policy.theta == 0.2
+        composed.policy.theta = composed.truth.wind_speed = 9.0
+
+
+def test_plugins_are_described_when_hydra_asks_for_them():
+    filters = PluginSchemas("filter")
+    assert "etkf.yaml" in filters and "nonesuch.yaml" not in filters and list(filters) == ["etkf.yaml"]
+    assert filters["etkf.yaml"].node.inflation == 1.0
+    assert sorted(filters.keys()) == [f"{name}.yaml" for name in registry().names("filter")]
 
 
 @dataclass

@@ -10,6 +10,7 @@ from dafw import ContractError, Domain, RunError, StateSpace, Variable, Vehicle,
 from dafw.core.cycle import advance, start
 from dafw.core.ensemble import Diagnostic, Route
 from dafw.core.record import Record
+from dafw.core.run_layout import READINGS_CACHE
 from dafw.plugins.filters.enks import EnKS
 
 
@@ -101,6 +102,17 @@ def test_it_opens_while_it_is_written(tmp_path):
     record.close()
 
 
+def test_what_was_written_does_not_stay_in_memory(tmp_path):
+    record, _ = record_run(tmp_path / "run.nc")
+    file = record._file._file
+    over_time = [one for one in file.variables.values() if "time" in one.dimensions]
+    assert len(over_time) > 20
+    # By default HDF5 holds up to 64 MB of each variable until the file is closed, that is, all of most files.
+    assert all(one.get_var_chunk_cache()[0] <= READINGS_CACHE for one in over_time)
+    assert sum(one.get_var_chunk_cache()[0] for one in over_time) < 8_000_000
+    record.close()
+
+
 def test_a_run_is_never_overwritten(tmp_path):
     record, _ = record_run(tmp_path / "run.nc")
     record.close()
@@ -184,6 +196,22 @@ def test_readings_of_changing_number_are_padded(tmp_path):
         assert np.nan_to_num(run["observation_node"].values, nan=-1).tolist()[2] == [2, -1]
 
 
+def test_a_variable_that_only_some_readings_have_is_read_as_it_was_written(tmp_path):
+    record, _ = record_run(tmp_path / "run.nc", cycles=0)
+    read = [np.arange(3), np.arange(5), np.arange(2)]
+    rows = [{"time": 2.0 * (1 + n), "observation_value": 10.0 * (1 + n) + one} for n, one in enumerate(read)]
+    rows[0]["observation_node"] = np.array([6, 7, 8])
+    for row in rows:  # one by one: the second makes room for five readings
+        record._file.write([row])
+    record._file.write([{"time": 8.0, "observation_node": np.array([9])}])
+    record.close()
+    with netCDF4.Dataset(tmp_path / "run.nc") as run:
+        run.set_auto_mask(False)
+        nodes, values = run["observation_node"][:], run["observation_value"][:]
+    assert nodes.tolist() == [5 * [-1], [6, 7, 8, -1, -1], 5 * [-1], 5 * [-1], [9, -1, -1, -1, -1]]
+    assert values[1:4, 0].tolist() == [10.0, 20.0, 30.0] and np.isnan(values[4]).all()
+
+
 def test_the_mesh_is_ugrid_and_the_buildings_are_cf(tmp_path):
     xugrid = pytest.importorskip("xugrid", reason="xugrid is a development dependency")
     parts = toy_parts()
@@ -222,21 +250,3 @@ def test_fields_of_the_ends_alone_leave_everything_else_as_it_is(filter, tmp_pat
             rows = {"time": [0, 5]} if is_field else {}
             np.testing.assert_array_equal(thin[name].isel(rows), whole[name].isel(rows), err_msg=name)
             assert not is_field or thin[name][1:5].isnull().all(), name
-
-
-def test_readings_are_missing_long_after_the_last_one(tmp_path):
-    """The netCDF library fills too few rows of a variable that was not written up to the last one."""
-    record, _ = record_run(tmp_path / "run.nc", cycles=2)
-    read = {name: np.full(3, 2.0) for name in ("observation_value", "observation_variance")}
-    record._file.write([read])
-    record._file.write([{"err": 1.0} for _ in range(200)])
-    record._file.write([{"observation_value": np.full(9, 3.0)}])
-    record.close()
-    with xarray.open_dataset(tmp_path / "run.nc") as run:
-        assert run.sizes["observation"] == 9
-        value, variance = run["observation_value"].values, run["observation_variance"].values
-    last = int(np.flatnonzero((value == 3.0).all(axis=1))[0])
-    np.testing.assert_array_equal(value[last - 201], [2.0] * 3 + [np.nan] * 6)
-    np.testing.assert_array_equal(value[last], np.full(9, 3.0))
-    assert np.isnan(value[last - 200 : last]).all() and np.isnan(variance[last - 200 : last + 1]).all()
-    assert np.isnan(value[: last - 201, 3:]).all()

@@ -154,9 +154,10 @@ def test_the_command_goes_on_with_a_live_run_and_replays_it_without_its_feed(tmp
     assert capsys.readouterr().out.strip() == "identical"
 
 
-def test_runs_of_a_multirun_do_not_share_standard_input(tmp_path, monkeypatch, capsys):
+@pytest.mark.parametrize("source", ["-", "/dev/stdin"])
+def test_runs_of_a_multirun_do_not_share_standard_input(source, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    words = ["run", "-m", "experiment=lorenz96", "readings=live", "seed=0,1", "cycles=2"]
+    words = ["run", "-m", "experiment=lorenz96", "readings=live", f"readings.source={source}", "seed=0,1", "cycles=2"]
     assert main(words) == 2
     said = capsys.readouterr().err
     assert said.count("\n") == 1 and "would share one standard input" in said

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 
 import numpy as np
 import pytest
@@ -56,6 +57,16 @@ def test_the_data_are_those_of_the_study(folder):
     assert (low, high) == pytest.approx((17.5, 65.0))
     assert data["failed"] == [["b, seed 4", "the <wind>"]]
     assert len({chart["top"] for chart in data["curves"]}) == 1
+
+
+def test_the_command_that_repeats_a_study_is_the_one_that_was_given(folder, tmp_path):
+    for name in ("study.nc", "summary.json"):
+        shutil.copy(folder / name, tmp_path)
+    words = ["made", "cycles=5", "--seeds", "1-4", "--configurations", "a*"]
+    request = {"configurations": {}, "command": {"words": words, "working_folder": "/"}}
+    (tmp_path / "request.json").write_text(json.dumps(request))
+    shown = write_page(tmp_path).read_text(encoding="utf-8")
+    assert '"command":"dafw study made cycles=5 --seeds 1-4 --configurations \'a*\'"' in shown
 
 
 def test_the_page_leads_to_the_pages_of_runs_that_there_are(folder, browser):

@@ -65,6 +65,7 @@ def test_it_opens_from_a_disk_and_asks_for_nothing(page):
     assert [key.get_attribute("data-key") for key in page.find(".map").all()] == ["truth", "mean", "free", "spread"]
     charts = [key.get_attribute("data-id") for key in page.find(".chart").all()]
     assert {"err", "wind_speed", "wind_direction", "total", "innovation_rms", "ranks", "scores"} <= set(charts)
+    assert "where it blows to" in page.text(".chart[data-id=wind_direction] h3")
 
 
 def test_the_page_could_not_reach_a_network_if_it_wanted_to(page):
@@ -96,6 +97,39 @@ def test_the_slider_moves_the_time_and_the_maps(page, plant_run):
     page.go(0)
     again = [page.pixels(f".map[data-key={key}] canvas >> nth=0") for key in ("truth", "mean", "free")]
     assert max(differ(*pair) for pair in zip(before, again, strict=True)) == 0.0
+
+
+def test_a_map_does_not_depend_on_what_was_shown_before(page):
+    canvases = [f".map[data-key={key}] canvas >> nth={layer}" for key in ("truth", "spread") for layer in (0, 1)]
+
+    def shown():
+        return [page.pixels(canvas) for canvas in canvases]
+
+    for row in range(9):  # by small steps, each of which draws only what is new
+        page.go(row)
+    stepped = shown()
+    assert differ(stepped[1], np.zeros_like(stepped[1])) > 0.05, "buildings, route and readings"
+    for row in (20, 0, 8):
+        page.go(row)
+    jumped = shown()
+    page.find("#theme").click()
+    page.find("#theme").click()
+    page.drawn()
+    for one, other, tinted in zip(stepped, jumped, shown(), strict=True):
+        assert differ(one, other) == differ(one, tinted) == 0.0
+
+
+def test_what_is_told_is_up_to_date_as_soon_as_it_stops(page, plant_run):
+    page.find("#speed").select_option("60")
+    page.tab.evaluate("() => { const { player } = window.dafw; player.play(); player.told = Infinity; }")
+    page.tab.wait_for_function("() => window.dafw.player.row >= 3")
+    assert "t = 0 of 100 s" in page.text("#now"), "while it plays, texts change ten times a second, here never"
+    page.tab.keyboard.press("Space")
+    page.drawn()
+    time = plant_run["time"].values[page.tab.evaluate("() => window.dafw.player.row")]
+    assert f"t = {time:g} of 100 s" in page.text("#now")
+    for label in (".map[data-key=mean] canvas >> nth=0", ".chart[data-id=err] canvas"):
+        assert f"t = {time:g} s" in page.find(label).get_attribute("aria-label")
 
 
 def test_a_map_has_the_colours_of_the_values(page, plant_run):
@@ -286,6 +320,12 @@ def test_a_run_with_one_row_and_one_with_two_fields_open(show, plant_run):
     page = show(ends)
     page.go(10)
     assert page.find(".map[data-key=truth] figcaption").inner_text().split() == ["Truth", "of", "t", "=", "0", "s"]
+    pale = "(canvas) => getComputedStyle(canvas).opacity < 0.5"
+    assert page.find(".map[data-key=truth] canvas >> nth=0").evaluate(pale)
+    at_place(page, "mean", 430.0, 390.0, ends)
+    assert "recorded at 2 of 21 times" in page.text(".chart[data-id=place] h3")
+    page.go(20)
+    assert not page.find(".map[data-key=truth] canvas >> nth=0").evaluate(pale)
     assert "2 of 21 times" in page.text("#exactness") and page.complaints == []
     page.tab.context.close()
 
@@ -336,6 +376,6 @@ def test_everything_that_can_be_used_has_a_name(page):
 def test_a_page_can_be_measured_and_photographed(browser, plant_folder, tmp_path):
     file = write_report(plant_folder)
     found = measured(browser, file, "phone", loads=1, frames=5)
-    assert found.open > 0.0 and found.draw > 0.0 and len(found.intervals) == 4
+    assert found.open > 0.0 and found.draw > 0.0 and found.processor > 0.0 and len(found.intervals) == 4
     picture(browser, file, tmp_path / "page.png")
     assert imread(tmp_path / "page.png").std() > 0.05

@@ -4,47 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import xarray as xr
 from browser import differ, open_page
+from made_forecasts import forecasts
 
 from dafw.core.errors import RunError
 from dafw.views.report import write_report
 from dafw.views.report_fields import unpacked
 from dafw.views.report_forecasts import forecasts_of
-
-ISSUES, LEADS, THRESHOLDS, QUANTILES = [10.0, 40.0], [0.0, 30.0], [0.01, 0.1], [0.1, 0.5]
-
-
-def forecasts(run, issues=ISSUES):
-    """Return what ``forecast.nc`` would hold: the gas is in the west, and every lead time moves it to the east."""
-    x = run["node_x"].values
-    sizes = (len(issues), len(LEADS), len(THRESHOLDS), x.size)
-    chance = np.zeros(sizes)
-    for k, issue in enumerate(issues):
-        for j, lead in enumerate(LEADS):
-            edge = 100.0 + 2.0 * issue + 5.0 * lead
-            chance[k, j] = np.clip([(edge - x) / 100.0, (edge - x - 80.0) / 100.0], 0.0, 1.0)
-    # Areas: near is reached for sure, far not at all.
-    reach = np.zeros((len(issues), 2, 2))
-    reach[..., 0] = 1.0
-    arrival = np.full((len(issues), 2, 2, 2), np.nan)
-    arrival[..., 0] = np.array(QUANTILES) * 10.0
-    one = {"units": "1"}
-    return xr.Dataset(
-        {
-            "exceedance_probability": (("issue", "lead", "threshold", "node"), chance.astype("f4"), one),
-            "area_reach_probability": (("issue", "threshold", "area"), reach, one),
-            "area_arrival_time": (("issue", "threshold", "quantile", "area"), arrival, {"units": "s"}),
-            "area_name": ("area", np.array(["near & <b>dear</b>", "far"], object)),
-        },
-        {
-            "issue": ("issue", np.array(issues), {"units": "s"}),
-            "lead": ("lead", LEADS, {"units": "s"}),
-            "threshold": ("threshold", THRESHOLDS, one),
-            "quantile": ("quantile", QUANTILES, one),
-        },
-        {"horizon": 60.0, "scored_variable": "concentration"},
-    )
 
 
 @pytest.fixture(scope="module")
@@ -86,6 +52,7 @@ def test_threshold_and_lead_time_are_chosen(page, plant_run):
     page.go(row_at(plant_run, 40.0))
     texts = {name: page.find(f"#forecast-{name} option").all_inner_texts() for name in ("threshold", "lead")}
     assert texts == {"threshold": ["0.01", "0.1"], "lead": ["0 s", "30 s"]}
+    assert page.text("#forecast .choices label >> nth=0").startswith("Concentration above")
     covered = {}
     for lead in ("0", "1"):
         page.find("#forecast-lead").select_option(lead)
@@ -110,6 +77,7 @@ def test_areas_have_their_probability_and_times_as_texts(page, plant_run):
 def test_a_phone_shows_it_without_scrolling_sideways(browser, folder):
     opened = open_page(browser, folder / "report.html", viewport={"width": 390, "height": 844})
     assert opened.find("#forecast").is_visible() and opened.overflow() <= 0
+    assert opened.find("#forecast-threshold").bounding_box()["width"] > 100.0, "its value can be read"
     opened.tab.close()
 
 
@@ -133,4 +101,11 @@ def test_the_maps_are_the_probabilities_and_keep_to_their_share_of_the_page(plan
 def test_forecasts_that_cannot_be_read_are_named(plant_run, tmp_path):
     (tmp_path / "forecast.nc").write_bytes(b"no netCDF")
     with pytest.raises(RunError, match=r"forecast\.nc: cannot be read"):
+        forecasts_of(plant_run, tmp_path)
+
+
+@pytest.mark.parametrize("missing", ["issue", "exceedance_probability", "area_arrival_time"])
+def test_a_file_that_a_run_is_just_making_is_no_reason_to_end(missing, plant_run, tmp_path):
+    forecasts(plant_run).drop_vars(missing).to_netcdf(tmp_path / "forecast.nc")
+    with pytest.raises(RunError, match=rf"forecast\.nc: .*{missing}"):
         forecasts_of(plant_run, tmp_path)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
+import os
 import re
 import signal
 import subprocess
@@ -10,7 +12,8 @@ import sys
 from contextlib import contextmanager
 
 import pytest
-from browser import open_page
+from browser import differ, open_page
+from made_forecasts import forecasts
 from playwright.sync_api import expect
 from served import ask, served
 from waiting import PATIENCE
@@ -70,6 +73,44 @@ def test_the_page_follows_the_run_for_several_viewers(browser, plant_run, tmp_pa
         page.tab.context.close()
 
 
+def test_forecasts_come_as_soon_as_they_are_made(browser, plant_run, tmp_path):
+    def foresee(issues):
+        forecasts(plant_run, issues).to_netcdf(tmp_path / "beside.nc")
+        (tmp_path / "beside.nc").rename(tmp_path / "forecast.nc")
+
+    record(plant_run, tmp_path, 1)
+    with served(Server(Following(tmp_path, used=lambda: 0.0))) as server:  # reading takes no time
+        page = open_page(browser, server.address)
+        assert page.find("#forecast").is_hidden() and "reading" not in page.text(".marks")
+        record(plant_run, tmp_path, 3)
+        expect(page.find("#now")).to_contain_text("t = 10 of 10 s", timeout=1000.0 * PATIENCE)
+        assert "reading" in page.text(".marks") and page.find("#forecast").is_hidden()
+        foresee([10.0])  # the row of its time has been recorded before
+        hint = page.find("#forecast .hint")
+        expect(hint).to_contain_text("Made at t = 10 s", timeout=1000.0 * PATIENCE)
+        page.find("#forecast").scroll_into_view_if_needed()
+        page.find("#forecast-threshold").select_option("1")
+        page.find("#forecast-lead").select_option("0")
+        page.drawn()
+        first = page.pixels("#forecast canvas >> nth=0")
+        record(plant_run, tmp_path, 10)
+        expect(page.find("#now")).to_contain_text("t = 45 of 45 s", timeout=1000.0 * PATIENCE)
+        expect(page.find("#subtitle")).to_contain_text("45 s · following")
+        assert "Made at t = 10 s" in hint.inner_text()
+        foresee([10.0, 45.0])
+        expect(hint).to_contain_text("Made at t = 45 s", timeout=1000.0 * PATIENCE)
+        assert [page.find(f"#forecast-{name}").input_value() for name in ("threshold", "lead")] == ["1", "0"]
+        page.drawn()
+        assert differ(first, page.pixels("#forecast canvas >> nth=0")) > 0.02
+        page.go(2)  # what was known then stays
+        assert "Made at t = 10 s" in hint.inner_text()
+        assert differ(first, page.pixels("#forecast canvas >> nth=0")) == 0.0
+        record(plant_run, tmp_path, 21, "complete")
+        expect(page.find("#subtitle")).to_contain_text("complete", timeout=1000.0 * PATIENCE)
+        assert page.complaints == []
+    page.tab.context.close()
+
+
 def test_a_page_whose_server_is_closed_says_so(browser, ring_run, tmp_path):
     record(ring_run, tmp_path, 6)
     with serving(tmp_path) as server:
@@ -107,12 +148,14 @@ def test_reading_takes_a_small_share_of_the_time(plant_run, tmp_path, monkeypatc
 
     load = watch.load_run
     monkeypatch.setattr(watch, "load_run", read)
-    following = Following(tmp_path, clock=lambda: now[0])
+    following = Following(tmp_path, clock=lambda: now[0], used=lambda: now[0])
     record(plant_run, tmp_path, 3)
     assert len(following.data()["time"]["values"]) == 3
+    record(plant_run, tmp_path, 4)
+    assert len(following.data()["time"]["values"]) == 4, "the first reading does not count"
     record(plant_run, tmp_path, 5)
     now[0] += 10.0
-    assert len(following.data()["time"]["values"]) == 3, "a reading took 2 s, so the next is due after 20"
+    assert len(following.data()["time"]["values"]) == 4, "a reading took 2 s, so the next is due after 20"
     now[0] += 10.5
     assert len(following.data()["time"]["values"]) == 5
     record(plant_run, tmp_path, 6, "failed")
@@ -133,6 +176,17 @@ def test_what_cannot_be_read_for_a_moment_is_read_later(plant_run, tmp_path):
     record(plant_run, tmp_path, 4)
     now[0] += 1000.0
     assert len(following.data()["time"]["values"]) == 4
+
+
+def test_a_file_that_another_process_writes_is_read(plant_run, tmp_path):
+    record(plant_run, tmp_path, 3)
+    variables = {name: value for name, value in os.environ.items() if name != "HDF5_USE_FILE_LOCKING"}
+    program = f"from dafw.views.watch import *; print(len(Following(Path({str(tmp_path)!r})).data()['time']['values']))"
+    with (tmp_path / "run.nc").open("rb") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)  # as HDF5 locks what it writes
+        command = [sys.executable, "-c", program]
+        done = subprocess.run(command, env=variables, capture_output=True, text=True, timeout=PATIENCE)
+    assert (done.stdout, done.stderr) == ("3\n", "")
 
 
 def test_the_command_follows_a_real_run_to_its_end_and_closes_on_an_interrupt(browser, tmp_path):

@@ -6,7 +6,6 @@ that opens, and a row without ``issue`` is none.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -22,6 +21,7 @@ from dafw.core.forecasts.ahead import Ahead, Course
 from dafw.core.forecasts.areas import Places
 from dafw.core.forecasts.chances import chance, exceeded, quantile
 from dafw.core.forecasts.plan import ForecastPlan
+from dafw.core.run_layout import CACHE
 from dafw.core.runs import NO_TIME
 from dafw.core.space import Array
 from dafw.core.ugrid import write_domain
@@ -137,7 +137,7 @@ class ForecastFile:
         sizes = [1 if dim == "issue" else len(self._file.dimensions[dim]) for dim in dims]
         # A coordinate has no missing values (CF), so a row that is not complete has netCDF's own large number there.
         fill = None if dims == (name,) else np.nan
-        made = self._file.createVariable(name, dtype, dims, fill_value=fill, chunksizes=sizes)
+        made = self._file.createVariable(name, dtype, dims, fill_value=fill, chunksizes=sizes, chunk_cache=CACHE)
         made.setncatts({"units": units, "long_name": long_name, **attributes})
         made.set_auto_maskandscale(False)
 
@@ -281,9 +281,11 @@ def open_forecasts(path: str | Path) -> Any:
     file = Path(path) / FILE if Path(path).is_dir() else Path(path)
     if not file.is_file():
         raise RunError(f"{path}: holds no forecasts (expected a run's folder with {FILE}, or that file)")
-    os.environ.setdefault("HDF5_USE_FILE_LOCKING", "FALSE")
     try:
         found = xarray.open_dataset(file, engine="netcdf4", decode_times=False)
     except (OSError, ValueError) as error:
         raise RunError(f"{file}: cannot be read as netCDF ({' '.join(str(error).split())})") from error
+    if "issue" not in found.variables:  # a run is making the file just now, or it is another one
+        found.close()
+        raise RunError(f"{file}: holds no forecasts (expected the variable 'issue')")
     return found.isel(issue=np.flatnonzero(found["issue"].values < NO_TIME))

@@ -119,6 +119,13 @@ class Readings(Plugin):
         """
         return None
 
+    def rehearsal(self, request: Request) -> Sequence[Observation]:
+        """Return readings as they might come to a live source, for a cycle that a run rehearses; none if it cannot.
+
+        ``request.truth`` is a state that the model might have, of which these are readings.
+        """
+        return ()
+
     def known_cycles(self) -> int:
         """Return how many first cycles the journal has all readings of; asked after ``begin``.
 

@@ -67,6 +67,12 @@ class AMIS(Filter):
     steps: int = option(
         1000, "steps of the model, summed over samples, that re-runs in one analysis may take", minimum=0
     )
+    batches: int | None = option(
+        None,
+        "batches of samples that one analysis may add, null: as many as steps allow. Early analyses add many, because "
+        "their re-runs are short; few let a live run keep up with its readings from the first cycle on",
+        minimum=1,
+    )
     enough: float = option(2.0, "effective sample size, per member, from which no sample is added", above=0.0)
     fresh: float = option(0.2, "share of new samples that are drawn from the first guess", minimum=0.0, maximum=1.0)
     archive: int = option(10, "samples kept from one analysis to the next, per member", minimum=1)
@@ -95,7 +101,7 @@ class AMIS(Filter):
             weights = normalized(log_base + fit)
             # Weights that are all but equal are not degenerate, however few they are.
             enough = min(self.enough * size, EQUAL * len(samples))
-            if effective_size(weights) >= enough or cost * (batches + 1) > self.steps:
+            if effective_size(weights) >= enough or cost * (batches + 1) > self.steps or batches == self.batches:
                 break
             # At most half of the samples count equally: a few good ones among bad ones say nothing of the covariance.
             leading = clipped(log_base + fit, int(min(max(size, n_moments(len(controls))), 0.5 * len(samples))))

@@ -101,7 +101,7 @@ def judged(
     if np.isfinite(degrees):
         constant = lgamma(0.5 * (degrees + 1.0)) - lgamma(0.5 * degrees) - 0.5 * np.log(degrees * np.pi)
     fit, background, gain, on, expected = _sequence(
-        predicted,
+        np.ascontiguousarray(predicted),  # for others numba would compile it again
         np.concatenate([one.values for one in observations]),
         np.concatenate(variances),
         np.array(sensor),
@@ -168,8 +168,10 @@ def _sequence(
                 usual = 0.0
                 for m in range(first, last):
                     usual += predicted[p, m] / (last - first)
-                b[:], g[:], bb[:], gg[:], bg[:] = mixed_b, mixed_g, mixed_bb, mixed_gg, mixed_bg
                 for o in range(2):
+                    for i in range(n_sensors):  # one by one: numba compiles assignments of whole arrays for seconds
+                        b[o, i], g[o, i] = mixed_b[o, i], mixed_g[o, i]
+                        bb[o, i], gg[o, i], bg[o, i] = mixed_bb[o, i], mixed_gg[o, i], mixed_bg[o, i]
                     density[o] = 0.0
                     for m in range(first, last):
                         i, h = sensor[m], o * predicted[p, m]

@@ -148,9 +148,12 @@ def next_power(log_base: Array, fit: Array, wanted: float) -> float:
 
     ``log_base`` and ``fit``, log L, are (N,). If none of the powers has it, the one with the largest is returned.
     """
-    sizes = np.array([effective_size(normalized(log_base + power * fit)) for power in POWERS])
-    reached = np.flatnonzero(sizes >= wanted)
-    return float(POWERS[reached[-1] if len(reached) else np.argmax(sizes)])
+    sizes = []
+    for power in POWERS[::-1]:
+        sizes.append(effective_size(normalized(log_base + power * fit)))
+        if sizes[-1] >= wanted:
+            return float(power)
+    return float(POWERS[np.argmax(sizes[::-1])])
 
 
 def resampled(weights: Array, rng: np.random.Generator) -> IntArray:

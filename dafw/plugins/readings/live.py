@@ -24,16 +24,20 @@ from dafw.core.ensemble import Memory
 from dafw.core.errors import ConfigurationError, NoMoreReadingsError
 from dafw.core.interfaces import Readings
 from dafw.core.interfaces.readings import Request, Taken
+from dafw.core.observation import Observation
 from dafw.core.options import build
 from dafw.core.space import StateSpace
 from dafw.plugins.observers.path import ends_of, line_means
+from dafw.plugins.readings.feed import inbox as inbox_file
 from dafw.plugins.readings.feed.channels import Channel, Pipe, channel_to
 from dafw.plugins.readings.feed.collecting import Patience, collect
 from dafw.plugins.readings.feed.desk import Desk, Rules
 from dafw.plugins.readings.feed.feed import Feed, Replayed
-from dafw.plugins.readings.feed.journal import FILE, cycles_in, head_of
+from dafw.plugins.readings.feed.inbox import Inbox
+from dafw.plugins.readings.feed.journal import FILE, head_of, reached
 from dafw.plugins.readings.feed.mqtt import Broker, require_broker
 from dafw.plugins.readings.feed.options import EXAMPLE, MQTT, FeedOptions
+from dafw.plugins.readings.feed.rehearsal import rehearsed
 from dafw.plugins.readings.feed.rules import rules_of
 from dafw.plugins.readings.feed.state import FeedState
 from dafw.plugins.readings.feed.usable import observations_of, vehicles_of
@@ -41,6 +45,9 @@ from dafw.plugins.readings.files.placing import require_origin
 from dafw.plugins.readings.files.sensors import ErrorOptions
 from dafw.plugins.readings.files.times import parsed_date
 from dafw.plugins.readings.files.units import linear
+
+STANDARD_INPUT = ("/dev/stdin", "/dev/fd/0", "/proc/self/fd/0")
+"""Other names of standard input."""
 
 
 @dataclass
@@ -113,15 +120,18 @@ class Live(FeedOptions, Readings):
         """Keep the folder of the journal, and begin to read what cannot be read again."""
         self._folder, self._asked = folder, asked_to_stop
         self.__dict__.pop("_zero", None)  # of a run before
-        before = head_of(folder / FILE)
-        self._known = cycles_in(folder / FILE)
-        self._client = (before.client if before else "") or f"dafw-{os.urandom(8).hex()}"
+        before, path = head_of(folder / FILE), folder / inbox_file.FILE
+        self._known, taken = reached(folder / FILE)
+        heads = [before, inbox_file.head_of(path) if self.source == MQTT else None]
+        names = [one.client for one in heads if one is not None and one.client]
+        self._client = names[0] if names else f"dafw-{os.urandom(8).hex()}"
         if self.clock == "wall":
             linear("ppm", "ppb")  # units are loaded now, not when the first message with one has come
         if self.source == "-":
             self._pipe = Pipe(0)
         elif self.source == MQTT:
-            self._connected_broker(goes_on=before is not None)
+            inbox = Inbox(path, taken, self._client)
+            self._broker = Broker(self.mqtt, self.mqtt.topic, self._client, goes_on=bool(names), inbox=inbox)
         if before is not None:
             print(f"dafw: {self._goes_on()}", file=sys.stderr)
 
@@ -164,13 +174,12 @@ class Live(FeedOptions, Readings):
     @property
     def reads_standard_input(self) -> bool:  # type: ignore[override]
         """Whether the messages come from standard input."""
-        return self.source == "-"
+        return self.source in ("-", *STANDARD_INPUT)
 
-    def _connected_broker(self, *, goes_on: bool = False) -> Broker:
-        """Return the link to the broker, which is made once; ``goes_on``: it may have kept messages for the run."""
+    def _connected_broker(self) -> Broker:
+        """Return the link to the broker, which is made once; here it is one without an inbox."""
         if self._broker is None:
-            topic = self.mqtt.topic if self.source == MQTT else None
-            self._broker = Broker(self.mqtt, topic, self._client, goes_on=goes_on)
+            self._broker = Broker(self.mqtt, self.mqtt.topic if self.source == MQTT else None, self._client)
         return self._broker
 
     @property
@@ -253,6 +262,21 @@ class Live(FeedOptions, Readings):
         vehicles, impossible = vehicles_of(desk.due, rules, state, request.domain, origin)
         left_out = {**desk.left_out, **unplaced} | ({"vehicle_in_wall_or_outside": impossible} if impossible else {})
         return Taken(observations, state.memory(), tuple(desk.notes), left_out, vehicles)
+
+    def rehearsal(self, request: Request) -> Sequence[Observation]:
+        """Return readings of a truth that are placed as messages are."""
+        if request.truth is None:
+            return ()
+        return rehearsed(
+            request.truth.members,
+            self._rules(request.space, request.domain),
+            request.space,
+            request.domain,
+            request.end,
+            variable=self.variable,
+            origin=self._origin(request.domain),
+            paths=self._paths or None,
+        )
 
     def zero_of_run(self, memory: Memory | None) -> float | None:
         """Return the Unix time of t = 0; None where it is not known."""

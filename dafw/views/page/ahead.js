@@ -16,10 +16,11 @@ export class Ahead {
   constructor(data, maps, theme, player) {
     Object.assign(this, { data, maps, theme, player });
     this.room = document.getElementById("forecast");
+    document.getElementById("forecast-what").textContent = data.variable.title;
     this.note = this.room.querySelector(".hint");
     this.under = element("canvas", { role: "img" });
-    const [walls, over] = [0, 1].map(() => element("canvas", { "aria-hidden": "true" }));
-    this.layers = element("div", { class: "layers" }, [this.under, walls, over]);
+    const over = element("canvas", { "aria-hidden": "true" });
+    this.layers = element("div", { class: "layers" }, [this.under, over]);
     const [left, right, bottom, top] = maps.extent;
     this.layers.style.aspectRatio = `${right - left} / ${top - bottom}`;
     this.caption = element("span", {});
@@ -28,8 +29,7 @@ export class Ahead {
       this.layers,
     ]);
     this.table = element("div", { class: "table", tabindex: "0" });
-    this.overlay = new Overlay(walls, over, data, maps.extent, "ahead");
-    this.context = this.under.getContext("2d");
+    this.overlay = new Overlay(over, data, maps.extent, "ahead");
     for (const id of ["threshold", "lead"]) this.select(id).addEventListener("change", () => this.draw());
     theme.onChange(() => this.retint());
   }
@@ -67,11 +67,7 @@ export class Ahead {
     const { clientWidth: width, clientHeight: height } = this.layers;
     if (!width || !height) return;
     this.overlay.resize(width, height, ratio, this.theme.colours);
-    const [wide, high] = this.maps.pixels(width, height, ratio);
-    this.raster = this.maps.raster(wide, high);
-    Object.assign(this.under, { width: wide, height: high });
-    this.image = this.context.createImageData(wide, high);
-    this.pixels = new Uint32Array(this.image.data.buffer);
+    this.painting = this.maps.painting(this.under, width, height, ratio);
     this.shown = null;
   }
 
@@ -91,17 +87,17 @@ export class Ahead {
   }
 
   draw() {
-    if (!this.raster) return;
+    if (!this.painting) return;
     const { forecasts } = this.data;
     const [issue, threshold, lead] = [this.latest(), Number(this.select("threshold").value), Number(this.select("lead").value)];
-    this.overlay.draw(this.player.row, this.theme.colours, false, null);
     const what = [issue, threshold, lead, this.theme.dark, forecasts.issues.length].join();
-    if (what === this.shown) return; // the forecast of the row before
+    const isNew = what !== this.shown;
+    if (isNew || this.data.sources) this.overlay.draw(this.player.row, this.theme.colours, false, null);
+    if (!isNew) return; // the forecast of the row before
     this.shown = what;
     this.room.classList.toggle("waiting", issue < 0);
     if (issue < 0) {
-      this.pixels.fill(0);
-      this.context.putImageData(this.image, 0, 0);
+      this.painting.clear();
       this.table.replaceChildren();
       this.caption.textContent = "";
       this.note.textContent = `The first forecast was made at t = ${tickLabel(forecasts.issues[0])} s.`;
@@ -109,8 +105,7 @@ export class Ahead {
       return;
     }
     const number = (issue * forecasts.leads.length + lead) * forecasts.thresholds.length + threshold;
-    this.raster.paint(this.pixels, this.values, number * forecasts.maps.nodes, this.colours, 0, 1);
-    this.context.putImageData(this.image, 0, 0);
+    this.painting.paint(this.values, number * forecasts.maps.nodes, this.colours, 0, 1);
     const made = forecasts.issues[issue];
     this.caption.textContent = `at t = ${tickLabel(Number((made + forecasts.leads[lead]).toPrecision(6)))} s`;
     const kept = forecasts.every > 1 ? ` This page holds one in ${forecasts.every} forecasts, and the last one.` : "";
@@ -127,7 +122,7 @@ export class Ahead {
     const row = (name, k) => {
       const times = areas.arrival[issue][threshold][k].map((time) => (time === null ? "–" : `${formatNumber(time)} s`));
       const cells = [percent(areas.probability[issue][threshold][k]), ...times];
-      return element("tr", {}, [element("th", { scope: "row" }, [name]), ...cells.map((one) => element("td", {}, [one]))]);
+      return element("tr", {}, [element("th", { scope: "row" }, breakable(name)), ...cells.map((one) => element("td", {}, [one]))]);
     };
     const titles = [...heads, ...areas.quantiles.map((share) => `By then: ${percent(share)}`)];
     return element("table", {}, [
@@ -135,4 +130,9 @@ export class Ahead {
       element("tbody", {}, areas.names.map(row)),
     ]);
   }
+}
+
+/** Return the parts of a name such as north_gate, which may stand in two lines. */
+function breakable(name) {
+  return name.split(/(?<=_)/).flatMap((part, k) => (k ? [element("wbr"), part] : [part]));
 }

@@ -7,7 +7,7 @@ import { dashes, style } from "./theme.js";
 
 /**
  * One chart. `spec` has title, units, lines [{role, label, values}], and may have bands [{low, high, label}], reference
- * {value, label} and floor. `time` is {values, units}.
+ * {value, label}, floor, and a remark on what is shown. `time` is {values, units}.
  */
 export class Chart {
   constructor(room, spec, time, player, theme) {
@@ -43,8 +43,8 @@ export class Chart {
   }
 
   fillCaption() {
-    const { title, units, lines, bands = [], reference } = this.spec;
-    this.title.replaceChildren(heading(title, units));
+    const { title, units, remark, lines, bands = [], reference } = this.spec;
+    this.title.replaceChildren(heading(title, [units, remark].filter(Boolean).join(", ")));
     this.entries = lines.map((line) => ({ line, mark: element("i", {}), value: element("b", {}) }));
     for (const { line, mark } of this.entries) mark.className = line.role === "dots" ? "dot" : style(line.role);
     const items = this.entries.map(({ line, mark, value }) => element("li", {}, [mark, line.label, " ", value]));
@@ -86,6 +86,7 @@ export class Chart {
     context.clearRect(0, 0, width, height);
     const y = verticalRange(spec, this.log);
     this.axes = new Axes(context, width, height, [time.values[0], time.values[time.values.length - 1]], y, this.log);
+    if (spec.units === "°") this.axes.labels = this.axes.ticks.map((tick) => tickLabel(((tick % 360) + 360) % 360));
     this.axes.drawGrid(theme.colours, time.units);
     this.axes.clipped(() => {
       if (spec.reference) this.drawReference();
@@ -115,6 +116,7 @@ export class Chart {
   show(row) {
     if (!this.axes) return;
     this.cursor.style.transform = `translateX(${this.axes.toX(this.time.values[row])}px)`;
+    if (!this.player.telling) return;
     const told = this.entries.map(({ line, value }) => {
       const text = withUnits(bounded(line.values[row], this.spec.units), this.spec.units);
       value.textContent = text;

@@ -21,6 +21,7 @@ export function connectControls(player, time, describe) {
     byId("controls").hidden = player.count < 2;
     slider.max = String(player.count - 1);
     slider.value = String(row);
+    if (!player.telling) return;
     const end = time.values[player.count - 1];
     byId("now").textContent = `t = ${tickLabel(time.values[row])} of ${tickLabel(end)} ${time.units}`;
     if (!player.playing) slider.setAttribute("aria-valuetext", describe(row));

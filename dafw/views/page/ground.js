@@ -15,7 +15,7 @@ export class GroundMap {
     const ratio = (extent[1] - extent[0]) / (extent[3] - extent[2]);
     this.box.style.aspectRatio = String(ratio);
     this.box.style.setProperty("--ratio", String(ratio));
-    this.overlay = new Overlay(byId("walls"), byId("over"), data, extent, "");
+    this.overlay = new Overlay(byId("over"), data, extent, "", byId("walls"));
     this.edges = edgesOf(mesh.triangles);
     this.box.addEventListener("click", (event) => this.pick(event));
     new ResizeObserver(() => this.resize()).observe(this.box);

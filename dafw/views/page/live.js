@@ -22,6 +22,7 @@ export function followRun(state, refresh, say) {
         say(next.words.status);
         return;
       }
+      say("following");
     } else if (answer.status !== 204) {
       say("the run cannot be read now; trying again");
     }

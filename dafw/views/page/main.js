@@ -50,6 +50,7 @@ async function showRun(data) {
 async function refresh(data, next, views, theme, player) {
   const fields = await take(data, next);
   views.maps?.refresh(fields);
+  if (views.maps) showLegend(data);
   views.profile?.refresh(fields);
   views.histogram?.refresh();
   player.extend(data.time.values.length);
@@ -70,12 +71,11 @@ async function showMaps(data, fields, theme, player) {
   const ahead = hasFields ? new Ahead(data, maps, theme, player) : null;
   await ahead?.refresh();
   const place = hasFields ? new PlaceSeries(data, mesh, maps, theme, player) : null;
-  showMarks(data);
+  showLegend(data);
   document.querySelector("#maps .hint").hidden = !hasFields;
   byId("scale-choice").hidden = !hasFields;
   byId("colours-choice").hidden = !hasFields || data.fields.bottom < 0;
   byId("belief-choice").hidden = !maps.fields.smoothed_mean;
-  byId("route-choice").hidden = !data.vehicles.length && !data.readings.row.length;
   const changes = {
     colours: ({ value }) => Object.assign(maps, { colours: value }),
     scale: ({ value }) => Object.assign(maps, { scale: value }),
@@ -89,6 +89,12 @@ async function showMaps(data, fields, theme, player) {
     });
   }
   return { maps, place, ahead };
+}
+
+/** Explain the marks on the maps; a run has no readings when it begins. */
+function showLegend(data) {
+  showMarks(data);
+  byId("route-choice").hidden = !data.vehicles.length && !data.readings.row.length;
 }
 
 /** Show every chart that there are data for; a chart that is there already gets the new data. */

@@ -6,10 +6,11 @@ import { recordedRow } from "./data.js";
 import { element, follow } from "./dom.js";
 import { tickLabel, withUnits } from "./format.js";
 import { Overlay } from "./overlay.js";
-import { Raster } from "./raster.js";
+import { Painting, Raster } from "./raster.js";
 
 const MOST_PIXELS = 120000; // of one map; a larger one is enlarged by the browser
 const SPREAD = { magma: "viridis", viridis: "cividis", cividis: "magma" }; // the colours of the spread are others
+const PAST = 0.05; // share of the run after which a field that is not of the time that is shown is pale
 const LATER = { mean: "smoothed_mean", spread: "smoothed_spread" };
 
 /** All maps of a run. `fields` are the decoded ones: {key, title, values}; without any there is one map of places. */
@@ -40,8 +41,8 @@ export class Maps {
   panel({ key, title }) {
     const [left, right, bottom, top] = this.extent;
     const under = element("canvas", { role: "img" });
-    const [walls, over] = [0, 1].map(() => element("canvas", { "aria-hidden": "true" }));
-    const layers = element("div", { class: "layers" }, [under, walls, over]);
+    const over = element("canvas", { "aria-hidden": "true" });
+    const layers = element("div", { class: "layers" }, [under, over]);
     layers.style.aspectRatio = `${right - left} / ${top - bottom}`;
     const note = element("span", {});
     const caption = element("figcaption", {}, [title, note]);
@@ -52,8 +53,8 @@ export class Maps {
       const y = top - ((event.clientY - box.top - layers.clientTop) / layers.clientHeight) * (top - bottom);
       this.pick(x, y);
     });
-    const overlay = new Overlay(walls, over, this.data, this.extent, key);
-    return { key, title, under, layers, note, overlay, context: under.getContext("2d") };
+    const overlay = new Overlay(over, this.data, this.extent, key);
+    return { key, title, under, layers, note, overlay };
   }
 
   /** Return the field that a panel shows: the belief as it was known then, or as it was revised later. */
@@ -82,19 +83,14 @@ export class Maps {
       if (!width || !height) continue;
       panel.overlay.resize(width, height, ratio, this.theme.colours);
       if (!this.field(panel)) continue;
-      const [wide, high] = this.pixels(width, height, ratio);
-      panel.raster = this.raster(wide, high);
-      panel.under.width = wide;
-      panel.under.height = high;
-      panel.image = panel.context.createImageData(wide, high);
-      panel.pixels = new Uint32Array(panel.image.data.buffer);
+      panel.painting = this.painting(panel.under, width, height, ratio);
     }
   }
 
-  /** Return how many pixels a map of a size is drawn with. */
-  pixels(width, height, ratio) {
+  /** Return what draws fields on a canvas that has a size in CSS pixels. */
+  painting(canvas, width, height, ratio) {
     const factor = Math.min(ratio, Math.sqrt(MOST_PIXELS / (width * height)));
-    return [Math.round(width * factor), Math.round(height * factor)];
+    return new Painting(canvas, this.raster(Math.round(width * factor), Math.round(height * factor)));
   }
 
   raster(width, height) {
@@ -146,13 +142,13 @@ export class Maps {
   draw() {
     const { row } = this.player;
     for (const panel of this.panels) {
-      if (panel.raster) {
+      if (panel.painting) {
         const at = this.fieldRow();
         const [low, high] = this.range(panel);
         const table = panel.key === "spread" ? this.spreadTable : this.table;
-        panel.raster.paint(panel.pixels, this.field(panel).values, at * this.nodes, table, low, high);
-        panel.context.putImageData(panel.image, 0, 0);
-        panel.note.textContent = this.caption(panel, row, this.data.fields.rows[at]);
+        panel.painting.paint(this.field(panel).values, at * this.nodes, table, low, high);
+        panel.under.classList.toggle("past", row - this.data.fields.rows[at] > PAST * this.player.count);
+        if (this.player.telling) panel.note.textContent = this.caption(panel, row, this.data.fields.rows[at]);
       }
       if (panel.overlay.width) panel.overlay.draw(row, this.theme.colours, this.withRoute, this.picked);
     }

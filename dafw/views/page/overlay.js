@@ -1,14 +1,18 @@
 // What lies over a map: buildings, the source, routes, readings, the place that was chosen.
 
 import { surpriseColour } from "./colours.js";
+import { Trail } from "./trail.js";
 
-const TRAIL = 2000; // readings that are drawn at most, the latest ones
-
-/** Draws on the canvases of a map: once what stays, anew what moves; `place(x, y)` turns metres into pixels. */
+/**
+ * Draws what lies over a map; `place(x, y)` turns metres into pixels. What stays is drawn once on the canvas `walls`.
+ * Where the page has no such canvas, it is copied below what moves: a browser takes time for every canvas of a page.
+ */
 export class Overlay {
-  constructor(walls, canvas, data, extent, key) {
-    this.walls = walls;
+  constructor(canvas, data, extent, key, walls = null) {
     this.canvas = canvas;
+    this.walls = walls ?? document.createElement("canvas");
+    this.copied = walls === null;
+    this.trail = new Trail();
     this.context = canvas.getContext("2d");
     this.data = data;
     this.extent = extent;
@@ -20,6 +24,7 @@ export class Overlay {
   refresh() {
     this.wind = this.data.wind?.[this.key];
     this.colours = this.data.readings.row.map((_, k) => surpriseColour(this.data.readings.surprise[k]));
+    this.trail.forget();
   }
 
   resize(width, height, ratio, colours) {
@@ -28,6 +33,7 @@ export class Overlay {
       canvas.height = Math.round(height * ratio);
       canvas.getContext("2d").setTransform(ratio, 0, 0, ratio, 0, 0);
     }
+    this.trail.resize(this.canvas, ratio);
     this.width = width;
     this.height = height;
     this.outlines = new Path2D();
@@ -42,8 +48,9 @@ export class Overlay {
     this.drawWalls(colours);
   }
 
-  /** Draw the buildings. */
+  /** Draw what stays: the buildings and a scale; everything that has colours of the page will be drawn anew. */
   drawWalls(colours) {
+    this.trail.forget();
     if (!this.outlines) return;
     const context = this.walls.getContext("2d");
     context.clearRect(0, 0, this.width, this.height);
@@ -91,6 +98,7 @@ export class Overlay {
   draw(row, colours, withRoute, picked) {
     const { context } = this;
     context.clearRect(0, 0, this.width, this.height);
+    if (this.copied) this.copy(this.walls);
     this.drawSources(row, colours);
     for (const mark of this.data.map.landmarks) this.drawLandmark(mark, colours);
     if (withRoute) {
@@ -102,8 +110,12 @@ export class Overlay {
     if (picked) this.drawPicked(picked, colours);
   }
 
-  dot(at, radius, fill, edge, width = 1) {
-    const { context } = this;
+  /** Copy a canvas of the same size. */
+  copy(canvas) {
+    this.context.drawImage(canvas, 0, 0, this.width, this.height);
+  }
+
+  dot(at, radius, fill, edge, width = 1, context = this.context) {
     context.beginPath();
     context.arc(at[0], at[1], radius, 0, 2 * Math.PI);
     context.fillStyle = fill;
@@ -144,16 +156,19 @@ export class Overlay {
     context.stroke();
   }
 
+  /** Draw the readings of the row, over those of the rows before. */
   drawReadings(row, colours) {
     const { row: rows, x, y } = this.data.readings;
-    let end = rows.length;
-    while (end > 0 && rows[end - 1] > row) end -= 1;
-    for (let k = Math.max(0, end - TRAIL); k < end; k += 1) {
-      if (x[k] === null || y[k] === null) continue;
-      const fresh = rows[k] === row;
-      const colour = this.colours[k] ?? colours.free;
-      this.dot(this.place(x[k], y[k]), fresh ? 4.5 : 3, colour, fresh ? colours.route : "#3a3f46", fresh ? 1.6 : 0.7);
+    const dot = (context, k, radius, edge, width) => {
+      if (x[k] === null || y[k] === null) return;
+      this.dot(this.place(x[k], y[k]), radius, this.colours[k] ?? colours.free, edge, width, context);
+    };
+    const begin = firstFrom(rows, row);
+    if (begin > 0) {
+      this.trail.draw(begin, (context, k) => dot(context, k, 3, "#3a3f46", 0.7));
+      this.copy(this.trail.canvas);
     }
+    for (let k = begin; rows[k] === row; k += 1) dot(this.context, k, 4.5, colours.route, 1.6);
   }
 
   drawVehicle(vehicle, row, colours) {
@@ -213,4 +228,15 @@ export class Overlay {
       context.stroke();
     }
   }
+}
+
+/** Return how many of some ascending rows are less than `row`. */
+function firstFrom(rows, row) {
+  let [low, high] = [0, rows.length];
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    if (rows[middle] < row) low = middle + 1;
+    else high = middle;
+  }
+  return low;
 }

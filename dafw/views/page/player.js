@@ -1,6 +1,12 @@
 // The time that the page shows: one row of the run. Views ask to be told when it changes.
 
-/** The row that is shown, and playing. Views are drawn at most once a frame of the screen. */
+const READABLE = 100; // milliseconds that a number stays while the page plays: who would read sixty of them a second?
+
+/**
+ * The row that is shown, and playing. Views are drawn at most once a frame of the screen. They change their texts only
+ * if the player is `telling`: while it plays ten times a second, otherwise always. Laying out texts takes longer than
+ * drawing the maps.
+ */
 export class Player {
   constructor(count) {
     this.count = count;
@@ -11,6 +17,8 @@ export class Player {
     this.states = [];
     this.frames = 0;
     this.waiting = false;
+    this.telling = true;
+    this.told = 0;
   }
 
   /** Call a function with the row whenever it changes. */
@@ -51,6 +59,9 @@ export class Player {
 
   draw() {
     this.frames += 1;
+    const now = performance.now();
+    this.telling = !this.playing || now - this.told >= READABLE;
+    if (this.telling) this.told = now;
     for (const listener of this.listeners) listener(this.row);
   }
 
@@ -87,5 +98,6 @@ export class Player {
     if (!this.playing) return;
     this.playing = false;
     for (const listener of this.states) listener(false);
+    this.redraw(); // with all texts
   }
 }

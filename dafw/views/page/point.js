@@ -64,6 +64,7 @@ export class PlaceSeries {
       id: "place",
       title: `${this.data.variable.title} at ${place}`,
       units: this.data.variable.units,
+      remark: rows.length < count ? `recorded at ${rows.length} of ${count} times` : "",
       lines,
       log: this.data.fields.bottom === 0,
     };

@@ -1,5 +1,6 @@
 // Draws a field that is linear in the triangles of a mesh. For each pixel it is found once which triangle covers it and
-// how much each corner counts; a new time then costs two products a pixel. This needs no graphics hardware.
+// how much each corner counts; a new time then costs two products a pixel, and nothing where there was nothing to see
+// and still is nothing. This needs no graphics hardware.
 
 /** The pixels of one size of a map, and the corners that their values come from. */
 export class Raster {
@@ -14,7 +15,7 @@ export class Raster {
     const owner = new Int32Array(width * height).fill(-1);
     const first = new Float32Array(width * height);
     const second = new Float32Array(width * height);
-    let covered = 0;
+    const sizes = new Int32Array(count + 1);
     for (let k = 0; k < count; k += 1) {
       const [a, b, c] = [mesh.triangles[3 * k], mesh.triangles[3 * k + 1], mesh.triangles[3 * k + 2]];
       const [ax, ay] = [(mesh.x[a] - left) * toX, (top - mesh.y[a]) * toY];
@@ -34,41 +35,83 @@ export class Raster {
           // Rounding must leave no gap between neighbours.
           if (wa < -1e-6 || wb < -1e-6 || wa + wb > 1 + 1e-6) continue;
           const pixel = py * width + px;
-          if (owner[pixel] < 0) covered += 1;
           owner[pixel] = k;
           first[pixel] = wa;
           second[pixel] = wb;
         }
       }
     }
-    this.pixels = new Int32Array(covered);
-    this.corners = new Int32Array(3 * covered);
-    this.weights = new Float32Array(2 * covered);
-    for (let pixel = 0, k = 0; pixel < owner.length; pixel += 1) {
-      if (owner[pixel] < 0) continue;
-      this.pixels[k] = pixel;
-      for (let corner = 0; corner < 3; corner += 1) {
-        this.corners[3 * k + corner] = mesh.triangles[3 * owner[pixel] + corner];
-      }
-      this.weights[2 * k] = first[pixel];
-      this.weights[2 * k + 1] = second[pixel];
-      k += 1;
-    }
+    for (const k of owner) if (k >= 0) sizes[k + 1] += 1;
+    // The pixels of triangle k are those from number ends[k] up to ends[k + 1].
+    for (let k = 0; k < count; k += 1) sizes[k + 1] += sizes[k];
+    this.ends = sizes;
+    this.corners = mesh.triangles;
+    this.pixels = new Int32Array(this.ends[count]);
+    this.weights = new Float32Array(2 * this.ends[count]);
+    const next = this.ends.slice();
+    owner.forEach((k, pixel) => {
+      if (k < 0) return;
+      const at = next[k]++;
+      this.pixels[at] = pixel;
+      this.weights[2 * at] = first[pixel];
+      this.weights[2 * at + 1] = second[pixel];
+    });
   }
 
-  /** Colour `image` (one number a pixel) by the nodes' values, which begin at `start`; missing values stay empty. */
-  paint(image, values, start, table, low, high) {
-    const { pixels, corners, weights } = this;
+  /**
+   * Colour `image` (one number a pixel) by the nodes' values, which begin at `start`; missing values stay empty. `blank`
+   * has a 1 for every triangle whose pixels have the lowest colour already.
+   */
+  paint(image, values, start, table, low, high, blank) {
+    const { pixels, corners, weights, ends } = this;
     const scale = 255 / (high - low);
-    for (let k = 0; k < pixels.length; k += 1) {
+    const least = low + 1 / scale; // all below has the lowest colour
+    for (let k = 0; k < blank.length; k += 1) {
       const a = values[start + corners[3 * k]];
       const b = values[start + corners[3 * k + 1]];
       const c = values[start + corners[3 * k + 2]];
-      const value = c + weights[2 * k] * (a - c) + weights[2 * k + 1] * (b - c);
-      const level = (value - low) * scale;
-      // A value that is not a number fails both comparisons, and its colour is that of no entry: empty.
-      image[pixels[k]] = level <= 0 ? table[0] : level >= 255 ? table[255] : table[level | 0] * (level === level);
+      const end = ends[k + 1];
+      if (a < least && b < least && c < least) {
+        if (!blank[k]) for (let at = ends[k]; at < end; at += 1) image[pixels[at]] = table[0];
+        blank[k] = 1;
+        continue;
+      }
+      blank[k] = 0;
+      for (let at = ends[k]; at < end; at += 1) {
+        const value = c + weights[2 * at] * (a - c) + weights[2 * at + 1] * (b - c);
+        const level = (value - low) * scale;
+        // A value that is not a number fails both comparisons, and its colour is that of no entry: empty.
+        image[pixels[at]] = level <= 0 ? table[0] : level >= 255 ? table[255] : table[level | 0] * (level === level);
+      }
     }
+  }
+}
+
+/** A canvas on which fields of one mesh are drawn, one after the other. */
+export class Painting {
+  /** Give the canvas the size of the raster. */
+  constructor(canvas, raster) {
+    Object.assign(canvas, { width: raster.width, height: raster.height });
+    this.raster = raster;
+    this.context = canvas.getContext("2d");
+    this.image = this.context.createImageData(raster.width, raster.height);
+    this.pixels = new Uint32Array(this.image.data.buffer);
+    this.blank = new Uint8Array(raster.ends.length - 1);
+  }
+
+  /** Draw the values that begin at `start`, with the 256 colours of a table between `low` and `high`. */
+  paint(values, start, table, low, high) {
+    if (table !== this.table) this.blank.fill(0);
+    this.table = table;
+    this.raster.paint(this.pixels, values, start, table, low, high, this.blank);
+    this.context.putImageData(this.image, 0, 0);
+  }
+
+  /** Draw nothing. */
+  clear() {
+    this.pixels.fill(0);
+    this.blank.fill(0);
+    this.context.putImageData(this.image, 0, 0);
   }
 }
 

@@ -182,6 +182,14 @@ def test_the_budget_is_kept_and_used(make, steps):
     assert (max(runs) > 0) == (steps > 0)
 
 
+def test_an_analysis_of_amis_adds_at_most_so_many_batches():
+    free, bound = (
+        [diagnosed(cycle, "runs") / len(cycle.belief) for cycle in level_study(amis(batches=most))]
+        for most in (None, 1)
+    )
+    assert max(free) > 1 and max(bound) == 1
+
+
 @SAMPLERS
 def test_the_same_bits_wherever_members_are_stepped(make):
     model = Levels(limit=LIMIT)

@@ -15,11 +15,12 @@ import pytest
 
 from benchmarks.broker import MOSQUITTO, broker, free_port
 from dafw import Study
-from dafw.core.errors import ConfigurationError, ReadingsError
+from dafw.core.errors import ConfigurationError, ReadingsError, RecordError
 from dafw.plugins.filters.etkf import ETKF
 from dafw.plugins.models.lorenz96 import Lorenz96
 from dafw.plugins.observers.grid import Grid
 from dafw.plugins.readings.feed import mqtt
+from dafw.plugins.readings.feed.inbox import FILE, Inbox
 from dafw.plugins.readings.feed.mqtt import Broker, BrokerOptions
 from dafw.plugins.readings.live import Live
 from dafw.plugins.readings.twin import Twin
@@ -206,4 +207,60 @@ def test_the_benchmark_of_load_sends_and_counts_every_reading():
     head, *rows, count, lag = done.stdout.splitlines()
     assert "lag by the processor" in head and len(rows) == 10
     assert count.startswith("400 readings sent, 400 taken") and count.endswith("left out: none")
-    assert lag.startswith("lag by the processor, after 5 cycles: at most ")
+    assert lag.startswith("lag by the processor, in cycles, of ") and ", at most " in lag
+
+
+def dropped(channel):
+    """End a link as a kill does: no word of leaving, nothing is closed."""
+    channel._client._sock_close()
+    channel._client.loop_stop()
+
+
+def test_what_was_confirmed_and_not_used_before_a_kill_is_in_the_inbox_and_what_was_not_confirmed_comes_again(tmp_path):
+    port = free_port()
+    options = BrokerOptions(port=port)
+
+    def heard_by(taken, *, goes_on):
+        inbox = Inbox(tmp_path / FILE, taken, "the run")
+        return Broker(options, "dafw/readings", "the run", goes_on=goes_on, inbox=inbox)
+
+    with broker(tmp_path, port), link(port, "other") as sender:
+        killed = heard_by(0, goes_on=False)
+        for number in range(5):
+            sender.publish("dafw/readings", b"%d" % number)
+        waited_for(lambda: len(killed._lines) == 5)
+        assert [killed.next(0.0).text for _ in range(2)] == ["0", "1"]
+        taken = killed.offset  # as the journal has it
+        # The next message is in the inbox when the run is killed, and the broker is not told.
+        killed._client.ack = lambda mid, qos: None
+        sender.publish("dafw/readings", b"5")
+        waited_for(lambda: len(killed._lines) == 4)
+        dropped(killed)
+        sender.publish("dafw/readings", b"6")
+        again = heard_by(taken, goes_on=True)
+        assert [heard(again).text for _ in range(6)] == ["2", "3", "4", "5", "5", "6"]
+        assert again.kept and again.next(0.0) is None
+        again.close()
+        assert not (tmp_path / FILE).exists()  # all of it is taken
+
+
+def test_a_message_that_cannot_be_kept_is_not_confirmed_and_the_run_ends(tmp_path, monkeypatch):
+    port = free_port()
+    options = BrokerOptions(port=port)
+    with broker(tmp_path, port), link(port, "other") as sender:
+        full = Broker(options, "dafw/readings", "the run", inbox=Inbox(tmp_path / FILE, 0, "the run"))
+        monkeypatch.setattr(Inbox, "put", lambda own, parts: full_disk())
+        sender.publish("dafw/readings", b"1")
+        waited_for(lambda: full._unwritable is not None)
+        monkeypatch.undo()
+        sender.publish("dafw/readings", b"2")  # nor is a later one, which would come before it
+        with pytest.raises(RecordError, match="no space"):
+            full.next(1.0)
+        dropped(full)
+        again = Broker(options, "dafw/readings", "the run", goes_on=True, inbox=Inbox(tmp_path / FILE, 0, "the run"))
+        assert [heard(again).text for _ in range(2)] == ["1", "2"]
+        again.close()
+
+
+def full_disk():
+    raise RecordError("no space")

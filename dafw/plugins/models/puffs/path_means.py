@@ -69,8 +69,11 @@ def path_means(
     """
     n_members, n_moments, n_ages, n_lines = leaks.shape[0], carried.shape[0], ages.size, lines.shape[0]
     means = np.zeros((n_members, n_lines))
-    ends = np.vstack((lines[:, :2], lines[:, :2] + lines[:, 2:4] * lines[:, 4:]))
-    west, east, south, north = ends[:, 0].min(), ends[:, 0].max(), ends[:, 1].min(), ends[:, 1].max()
+    west, east, south, north = np.inf, -np.inf, np.inf, -np.inf
+    for line in range(n_lines):
+        for place in (0.0, lines[line, 4]):
+            x, y = lines[line, 0] + lines[line, 2] * place, lines[line, 1] + lines[line, 3] * place
+            west, east, south, north = min(west, x), max(east, x), min(south, y), max(north, y)
     for member in range(n_members):
         turn, speed, wide, high, spread, lift = shapes[member]
         cos, sin = np.cos(turn) * speed, np.sin(turn) * speed
@@ -96,5 +99,4 @@ def path_means(
                     part = 0.5 * (erf((length - along) / (s * sqrt(2.0))) - erf(-along / (s * sqrt(2.0))))
                     upright = exp(-0.5 * (heights[line] / h) ** 2) / (pi * h * s)
                     means[member, line] += lengths[number] * exp(-0.5 * across**2) * part * upright / length
-        means[member] /= n_moments
-    return means
+    return means / n_moments

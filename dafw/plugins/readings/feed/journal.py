@@ -8,7 +8,8 @@ takes first what its own journal has and its checkpoint has not. The file is JSO
     {"cycle": 0, "at": 1764482401.3, "left_out": "too_long", "count": 1}
     {"cycle": 0, "end": true}                               the cycle had its readings
 
-Entries of a file that grows also have ``offset``, where the file was read to. A line that is too long is not kept.
+Entries of a file that grows, and of a broker, also have ``offset``, where the file, or the inbox (inbox.py), was read
+to. A line that is too long is not kept.
 ``client`` is the name by which a broker knows the run. A feed that ended without saying so, because its pipe was closed
 or because it was silent for too long, has a line ``{"end": true}`` in the journal.
 """
@@ -79,10 +80,24 @@ def head_of(path: Path) -> Head | None:
 
 def cycles_in(path: Path) -> int:
     """Return how many cycles of a journal have all their readings; 0 if there is no journal."""
-    if not path.is_file():
-        return 0
-    with path.open("rb") as stream:  # within a line that came, a quotation mark has a backslash before it
-        return sum(line.endswith(b'"end": true}\n') for line in stream)
+    return reached(path)[0]
+
+
+def reached(path: Path) -> tuple[int, int]:
+    """Return how many cycles of a journal have all their readings, and how far its source was read (bytes).
+
+    Both are 0 if there is no journal.
+    """
+    cycles, last = 0, b""
+    if path.is_file():
+        with path.open("rb") as stream:
+            for line in stream:  # within a line that came, a quotation mark has a backslash before it
+                cycles += line.endswith(b'"end": true}\n')
+                last = line if b', "offset": ' in line and line.endswith(b"}\n") else last
+    try:
+        return cycles, _entry(last, path, cycles).offset if last else 0
+    except ReadingsError:  # it is refused, with its number, when it is taken
+        return cycles, 0
 
 
 def entries_of(path: Path, taken: int = 0) -> Iterator[Entry]:

@@ -1,7 +1,8 @@
 """A broker of MQTT: messages come from a topic, and advice goes to another one.
 
 The link may drop and come back: the broker keeps what is sent in the meantime for SESSION seconds, and paho connects
-again by itself. User name and password come from a file or from the environment, and are not part of any option.
+again by itself. A message is confirmed when it is in the inbox of the run: what comes before a kill is in its inbox, or
+comes again. User name and password come from a file or from the environment, and are not part of any option.
 """
 
 from __future__ import annotations
@@ -12,15 +13,18 @@ import ssl
 import sys
 import threading
 from collections import deque
+from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from time import monotonic, sleep
 from typing import Any
 
-from dafw.core.errors import ConfigurationError, ReadingsError
+from dafw.core.errors import ConfigurationError, ReadingsError, RecordError
 from dafw.core.options import option
+from dafw.plugins.readings.feed.inbox import Inbox
 from dafw.plugins.readings.feed.lines import Line, line_of
+from dafw.plugins.readings.feed.messages import LONGEST
 
 log = logging.getLogger("dafw")
 USER, PASSWORD = "DAFW_MQTT_USER", "DAFW_MQTT_PASSWORD"
@@ -95,17 +99,29 @@ class Broker:
     """A link to a broker that hears one topic, or None: it only sends; a channel of a feed.
 
     ``client`` is the name by which the broker knows the link, by default a new one. ``goes_on``: it had this name
-    before, and takes what the broker kept for it; ``kept`` then says whether the broker remembered it.
+    before, and takes what the broker kept for it; ``kept`` then says whether the broker remembered it. With an
+    ``inbox`` messages are confirmed when they are in it, and ``offset`` is where in it the lines end that were asked
+    for; each must be in the journal when the next one is asked for. Without, they are confirmed as they come.
     """
 
-    offset = 0
     ended = False
 
-    def __init__(self, options: BrokerOptions, topic: str | None, client: str = "", *, goes_on: bool = False) -> None:
-        self._options, self._topic = options, topic
+    def __init__(
+        self,
+        options: BrokerOptions,
+        topic: str | None,
+        client: str = "",
+        *,
+        goes_on: bool = False,
+        inbox: Inbox | None = None,
+    ) -> None:
+        self._options, self._topic, self._inbox = options, topic, inbox
         self._name, self._goes_on, self.kept = client or f"dafw-{os.urandom(8).hex()}", goes_on, False
         self._lines: deque[Line] = deque()
-        self._held = self._lost = 0
+        self._held = self._lost = self.offset = 0
+        self._unwritable: RecordError | None = None
+        if inbox is not None:
+            self._hold(inbox.waiting)
         self._changed = threading.Condition()
         self._heard = threading.Event()  # the topic is subscribed, or the link there if there is no topic
         self._refused = ""
@@ -133,6 +149,7 @@ class Broker:
             except OSError:
                 raise ReadingsError(f"mqtt.ca: {ca} is no certificate that can be read") from None
             client.tls_set_context(trusted)
+        client.manual_ack_set(self._inbox is not None)
         client.reconnect_delay_set(1, 30)
         client.max_queued_messages_set(QUEUED)
         client.on_connect, client.on_message = self._on_connect, self._on_message
@@ -197,27 +214,43 @@ class Broker:
             log.warning("the link to the broker at %s dropped (%s); trying on", self._place, reason)
 
     def _on_message(self, client: Any, data: Any, message: Any) -> None:
+        parts = [part for part in message.payload.splitlines() if part.strip()]
         with self._changed:
-            for part in message.payload.splitlines():
-                if not part.strip():
-                    continue
-                line = line_of(part)
-                size = len(line.text) + OVERHEAD
-                if self._held + size > HELD:
-                    self._lost += 1
-                else:
-                    self._lines.append(line)
-                    self._held += size
+            room = self._held + sum(map(_size_of, parts)) <= HELD
+            if not room:
+                self._lost += len(parts)
+            elif self._inbox is None:
+                self._hold(map(line_of, parts))
+            elif self._unwritable is None:
+                try:
+                    self._hold(self._inbox.put(parts))
+                except RecordError as error:
+                    self._unwritable = error
             self._changed.notify()
+        if self._unwritable is None:  # else it comes again when the run goes on
+            client.ack(message.mid, message.qos)
+
+    def _hold(self, lines: Iterable[Line]) -> None:
+        for line in lines:
+            self._lines.append(line)
+            self._held += len(line.text) + OVERHEAD
 
     def next(self, seconds: float) -> Line | None:
-        """Return the next line; None if none came in time. Raises ReadingsError if the broker refuses the link."""
+        """Return the next line; None if none came in time.
+
+        Raises ReadingsError if the broker refuses the link, RecordError if the inbox cannot be written.
+        """
         with self._changed:
+            if self._inbox is not None and not self._lines:
+                self._inbox.all_taken()
             if not self._lines and seconds > 0.0:
                 self._changed.wait(seconds)
+            if self._unwritable is not None:
+                raise self._unwritable
             if self._lines:
                 line = self._lines.popleft()
                 self._held -= len(line.text) + OVERHEAD
+                self.offset = line.end
                 return line
             lost, self._lost = self._lost, 0
         self._require_welcome()
@@ -239,3 +272,10 @@ class Broker:
                 self._last.wait_for_publish(timeout=LAST)
         self._client.disconnect()
         self._client.loop_stop()
+        if self._inbox is not None:
+            self._inbox.close(empty=not self._lines)
+
+
+def _size_of(part: bytes) -> int:
+    """Return how many bytes a line takes while it waits."""
+    return OVERHEAD + (len(part) if len(part) <= LONGEST else 0)

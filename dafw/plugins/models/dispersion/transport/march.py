@@ -69,7 +69,8 @@ def march(
         if not np.isfinite(high.sum() + low.sum()):
             return step
         new, gone[step] = corrected(starts, second, entries, nodal, free, high, low, supplied)
-        after[step] = new
+        for i in range(new.size):  # not ``after[step] = new``: the message about shapes takes numba four seconds more
+            after[step, i] = new[i]
         supplied = new
     return after.shape[0]
 

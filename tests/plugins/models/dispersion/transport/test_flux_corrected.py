@@ -8,8 +8,12 @@ import pytest
 import ufl
 from dolfinx import fem
 from flow_meshes import rectangle
+from numba import typeof
 
+from dafw.commands import first_imports
 from dafw.core.errors import ConfigurationError, ContractError, SolverError
+from dafw.plugins.models.dispersion.fem import paired_lu
+from dafw.plugins.models.dispersion.transport import flux_corrected
 from dafw.plugins.models.dispersion.transport.limiter import corrected as limited_step
 from dafw.plugins.models.dispersion.transport.limiter import fluxes
 from dafw.plugins.models.dispersion.transport.options import TransportOptions, require_one_process
@@ -352,3 +356,25 @@ def test_what_makes_no_sense_is_refused(block, around_block):
         with pytest.raises(ConfigurationError, match=words):
             require_one_process(TransportOptions(**options))
     require_one_process(TransportOptions(scheme="supg"))
+
+
+def test_set_up_compiles_the_loops_of_a_step(block, around_block, monkeypatch):
+    """For arguments of other types, numba would compile them again in the first run."""
+    compiled, called = {}, {}
+
+    def noting(function):
+        def call(*arguments):
+            called[function.__name__] = tuple(map(typeof, arguments))
+            return function(*arguments)
+
+        return call
+
+    for function, arguments in first_imports.loops():
+        compiled[function.__name__] = arguments
+        for module in (flux_corrected, paired_lu):
+            if vars(module).get(function.__name__) is function:
+                monkeypatch.setattr(module, function.__name__, noting(function))
+    transport = corrected(block, outflow="open", solver="direct")
+    start = bell(transport.matrices.places, [20.0, 52.0], 4.0)
+    transport.system(around_block).balanced_step(start, start)
+    assert called == compiled
