@@ -49,7 +49,7 @@ def over_stepping(overrides: Sequence[str], lengths: Sequence[int], n_members: i
 
         # As in the middle of a run: what is made once is there, and there are old systems to be made over.
         for way in (0, 1):
-            for number in range(1000, 1000 + 2 * LEAST_KEPT // n_members):
+            for number in range(1000, 1000 + 2 * max(LEAST_KEPT.values()) // n_members):
                 again(way, number, 1)
         rows = []
         for number, steps in enumerate(lengths, 1):
