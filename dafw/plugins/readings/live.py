@@ -39,7 +39,7 @@ from dafw.plugins.readings.feed.mqtt import Broker, require_broker
 from dafw.plugins.readings.feed.options import EXAMPLE, MQTT, FeedOptions
 from dafw.plugins.readings.feed.rehearsal import rehearsed
 from dafw.plugins.readings.feed.rules import rules_of
-from dafw.plugins.readings.feed.state import FeedState
+from dafw.plugins.readings.feed.state import FeedState, Reading
 from dafw.plugins.readings.feed.usable import observations_of, vehicles_of
 from dafw.plugins.readings.files.placing import require_origin
 from dafw.plugins.readings.files.sensors import ErrorOptions
@@ -249,16 +249,7 @@ class Live(FeedOptions, Readings):
         collect(feed, desk, request.cycle, self.grace, Patience(wall, self.patience, self._asked))
         if desk.state.ended and desk.is_barren:
             raise NoMoreReadingsError(f"{self.label}: the feed has ended")
-        observations, unplaced = observations_of(
-            desk.due,
-            rules,
-            request.space,
-            request.domain,
-            request.end,
-            variable=self.variable,
-            origin=origin,
-            paths=self._paths or None,
-        )
+        observations, unplaced = self._observations(desk.due, rules, request)
         vehicles, impossible = vehicles_of(desk.due, rules, state, request.domain, origin)
         left_out = {**desk.left_out, **unplaced} | ({"vehicle_in_wall_or_outside": impossible} if impossible else {})
         return Taken(observations, state.memory(), tuple(desk.notes), left_out, vehicles)
@@ -267,9 +258,19 @@ class Live(FeedOptions, Readings):
         """Return readings of a truth that are placed as messages are."""
         if request.truth is None:
             return ()
-        return rehearsed(
-            request.truth.members,
-            self._rules(request.space, request.domain),
+        space, rules = request.space, self._rules(request.space, request.domain)
+        named = space.variables[0] if self.variable is None else space[self.variable]
+        members, paths = request.truth.members, self._paths or None
+        readings = rehearsed(members, rules, named, request.end, entries=space.slice(named.name), paths=paths)
+        return self._observations(readings, rules, request)[0]
+
+    def _observations(
+        self, readings: Sequence[Reading], rules: Rules, request: Request
+    ) -> tuple[list[Observation], dict[str, int]]:
+        """Return readings as observations, and how many had no place here, by reason."""
+        return observations_of(
+            readings,
+            rules,
             request.space,
             request.domain,
             request.end,

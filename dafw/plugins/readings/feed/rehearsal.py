@@ -6,12 +6,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from dafw.core.domain import Domain
-from dafw.core.observation import Observation
-from dafw.core.space import Array, StateSpace
+from dafw.core.space import Array, Variable
 from dafw.plugins.readings.feed.desk import Rules
 from dafw.plugins.readings.feed.state import Reading
-from dafw.plugins.readings.feed.usable import observations_of
 
 NODES = 10
 """Readings of a variable with many entries."""
@@ -20,29 +17,20 @@ ERROR = 1e-3
 
 
 def rehearsed(
-    members: Array,
-    rules: Rules,
-    space: StateSpace,
-    domain: Domain | None,
-    end: float,
-    *,
-    variable: str | None = None,
-    origin: tuple[float, float] | None = None,
-    paths: Mapping[str, Array] | None = None,
-) -> list[Observation]:
-    """Return readings of the first of ``members`` (N, n), at the end of a cycle (s).
+    members: Array, rules: Rules, named: Variable, end: float, *, entries: slice, paths: Mapping[str, Array] | None
+) -> list[Reading]:
+    """Return readings of the variable ``named`` of the first of ``members`` (N, n), at the end of a cycle (s).
 
-    The other arguments are those of ``observations_of``.
+    ``entries`` are those of the variable in a member. ``paths`` are lines (2, 2) by sensor that are read instead of
+    places.
     """
-    named = space.variables[0] if variable is None else space[variable]
-    values = members[0, space.slice(named.name)]
+    values = members[0, entries]
     largest = float(np.abs(values).max())
     sd = ERROR * largest if largest > 0.0 else 1.0
-    readings = [
+    return [
         Reading(end, value, sd, rules.wanted, sensor, kind, place)
         for sensor, kind, place, value in _spots(values, named.coordinates, rules, paths)
     ]
-    return observations_of(readings, rules, space, domain, end, variable=variable, origin=origin, paths=paths)[0]
 
 
 def _spots(
