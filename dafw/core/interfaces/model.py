@@ -74,7 +74,7 @@ class Model(Plugin):
         It has the same variables and time step; those with places may have them elsewhere. Raises ConfigurationError
         unless a model defines it.
         """
-        raise ConfigurationError(f"{self.label} has no coarser version, which the filter needs")
+        raise ConfigurationError(f"{self.label} has no coarser version, which the filter or the policy needs")
 
     def notes(self) -> list[str]:
         """Return sentences for the log about what the model was built from."""

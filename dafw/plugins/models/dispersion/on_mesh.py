@@ -54,8 +54,8 @@ class OnMesh(Model):
     def _coarser(self) -> Self:
         if not self.coarse_mesh.given:
             raise ConfigurationError(
-                f"{self.label}: the filter searches with a coarser mesh, and there is none: give coarse_mesh.wall_size "
-                f"or another option of coarse_mesh"
+                f"{self.label}: the filter or the policy needs a coarser mesh, and there is none: give "
+                f"coarse_mesh.wall_size or another option of coarse_mesh"
             )
         coarser = replace(self, mesh=replace(self.mesh, **self.coarse_mesh.given), coarse_mesh=CoarseMeshOptions())
         coarser.name = self.name
