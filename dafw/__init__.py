@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from dafw.authoring.function import model_from_function
     from dafw.authoring.program import ProgramModel
     from dafw.core.checkpoints.plan import CheckpointPlan
+    from dafw.core.covariances import colour, whiten
     from dafw.core.cycle import Cycle, Parts, State, advance
     from dafw.core.domain import Domain
     from dafw.core.ensemble import Analysis, Diagnostic, Ensemble, Forecast, Route, Step, Vehicle
@@ -39,7 +40,7 @@ if TYPE_CHECKING:
     from dafw.core.hookspecs import PluginSpec, hookimpl
     from dafw.core.interfaces import Filter, Model, Observer, Policy, Readings
     from dafw.core.interfaces.readings import Request, Taken
-    from dafw.core.observation import Interpolation, Observation, ObservationOperator, Selection, colour, whiten
+    from dafw.core.observation import Interpolation, Observation, ObservationOperator, Selection
     from dafw.core.options import REQUIRED, option
     from dafw.core.runs import open_run
     from dafw.core.space import ANGLE, FIELD, NONNEGATIVE, POSITIVE, StateSpace, Variable
@@ -56,6 +57,7 @@ _HOMES = {
     "dafw.core.executors": ("Executor",),
     "dafw.core.executors.batches": ("Batch", "Stepped", "step_members"),
     "dafw.core.checkpoints.plan": ("CheckpointPlan",),
+    "dafw.core.covariances": ("colour", "whiten"),
     "dafw.core.errors": (
         "CheckpointError",
         "ComputationError",
@@ -79,8 +81,6 @@ _HOMES = {
         "Observation",
         "ObservationOperator",
         "Selection",
-        "colour",
-        "whiten",
     ),
     "dafw.core.options": ("REQUIRED", "option"),
     "dafw.core.runs": ("open_run",),

@@ -66,6 +66,8 @@ class Weighing(Filter):
 
 LISTED = Listed([{"time": 0.5, "value": 1.0, "entry": 1}, {"time": 1.0, "value": 1.0, "entry": 0, "arrives": 2.0}])
 
+MEANS = Listed([{"time": 1.0, "value": 1.0, "entry": 1}, {"time": 2.0, "value": 1.0, "entry": 0, "span": 2.0}])
+
 
 def plant():
     """Return a study with all features: a plant with its wind, a drone with a policy, a filter that looks back."""
@@ -95,6 +97,7 @@ STUDIES = {
     "with a free run": (lambda: ponds(free=Ponds(), record="none"), {"free run", "places", "other places"}),
     "with a truth": (lambda: ponds(truth=Ponds()), {"truth", "members", "places", "other places"}),
     "smoothed": (lambda: ponds(filter=EnKS()), {"window", "members", "places", "other places"}),
+    "averaging": (lambda: ponds(readings=MEANS), {"members", "places", "other places", "spans"}),
     "weighed": (lambda: ponds(filter=Weighing()), {"weights", "members", "places", "other places"}),
 }
 

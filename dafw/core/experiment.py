@@ -14,7 +14,7 @@ from typing import Any
 from dafw.core.checkpoints.plan import CheckpointPlan
 from dafw.core.errors import ConfigurationError
 from dafw.core.forecasts.plan import ForecastPlan
-from dafw.core.interfaces import Model
+from dafw.core.interfaces import Model, Readings
 from dafw.core.late import LATE_CHOICES
 from dafw.core.options import build, merged, option
 from dafw.core.registry import registry
@@ -53,7 +53,9 @@ class StudyOptions:
     name: str = option("study", "name of the study, used for folders and titles")
     seed: int = option(0, "seed of every random stream", minimum=0, maximum=2**63 - 1)
     members: int = option(10, "number N of ensemble members", minimum=1)
-    cycles: int = option(100, "number of cycles", minimum=1)
+    cycles: int | None = option(
+        100, "number of cycles; null: until the last reading, of readings that have one (recorded)", minimum=1
+    )
     model: dict[str, Any] = option({}, "name and options of the model")
     truth: dict[str, Any] | None = option({}, "options of the truth that differ from the model's; null: no truth")
     free: dict[str, Any] | None = option({}, "options of the free run that differ from the model's; null: no free run")
@@ -115,13 +117,14 @@ def study_from(config: Mapping[str, Any]) -> Study:
         for kind in ("observer", "policy", "filter", "readings", "executor")
     }
     with_truth = options.truth is not None and (made["readings"].needs_truth or options.score_truth)
+    models = _models(options, with_truth)
     return Study(
-        **_models(options, with_truth),
+        **models,
         **made,
         start=options.vehicle.start,
         speed=options.vehicle.speed,
         members=options.members,
-        cycles=options.cycles,
+        cycles=_until_the_last(made["readings"], models["model"].dt) if options.cycles is None else options.cycles,
         seed=options.seed,
         late_readings=options.late_readings,
         record=options.record.members,
@@ -134,6 +137,17 @@ def study_from(config: Mapping[str, Any]) -> Study:
         name=options.name,
         configuration=dict(config),
     )
+
+
+def _until_the_last(readings: Readings, dt: float) -> int:
+    """Return the number of cycles until the last reading; raises ConfigurationError if nobody knows which it is."""
+    covered = readings.cycles_covered(dt)
+    if covered is None:
+        raise ConfigurationError(
+            f"cycles=null goes with readings that have a last one, such as readings=recorded, got {readings.label}: "
+            f"expected a number of cycles"
+        )
+    return covered
 
 
 def _models(options: StudyOptions, with_truth: bool) -> dict[str, Any]:

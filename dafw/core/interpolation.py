@@ -122,6 +122,7 @@ class View:
             coordinates=operator.coordinates,
             sensors=operator.sensors,
             limits=operator.limits,
+            spans=operator.spans,
         )
 
 

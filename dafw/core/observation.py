@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from dafw.core.covariances import block_diagonal
 from dafw.core.ensemble import Diagnostics, freeze
 from dafw.core.errors import ConfigurationError, ContractError
 from dafw.core.space import Array, IntArray
@@ -24,8 +25,11 @@ class ObservationOperator:
     sensor that takes each reading, the same one in every cycle; the readings of a sensor stand in the order in which it
     takes them, at equal intervals. None: not told. ``limits`` (m,) are the detection limits of those readings that were
     below theirs, NaN for all others; None: none was. ``below_limit`` gives the value and variance of such a reading, so
-    that a filter need not know of limits. Raises ConfigurationError for a covariance that is neither (m,) nor (m, m) or
-    whose diagonal is not above zero, and if there are not m sensors or limits.
+    that a filter need not know of limits. ``spans`` (m,) are the seconds, until a reading is taken, over which it is a
+    mean; a re-run predicts such means (spans.py). None: no reading is one.
+
+    Raises ConfigurationError for a covariance that is neither (m,) nor (m, m) or whose diagonal is not above zero, and
+    if there are not m sensors, limits or spans.
     """
 
     covariance: Array
@@ -34,6 +38,7 @@ class ObservationOperator:
     diagnostics: Diagnostics = field(default_factory=dict)
     sensors: tuple[str, ...] | None = None
     limits: Array | None = None
+    spans: Array | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "covariance", freeze(self.covariance))
@@ -57,6 +62,10 @@ class ObservationOperator:
         if self.limits is not None and self.limits.shape != (self.size,):
             raise ConfigurationError(
                 f"{self.size} readings must have {self.size} detection limits, got the shape {self.limits.shape}"
+            )
+        if self.spans is not None and self.spans.shape != (self.size,):
+            raise ConfigurationError(
+                f"{self.size} readings must have {self.size} spans, got the shape {self.spans.shape}"
             )
 
     @property
@@ -122,6 +131,9 @@ def stack(parts: tuple[ObservationOperator, ...], *, same_sensors: bool = False)
     limits = None
     if any(part.limits is not None for part in parts):
         limits = np.concatenate([np.full(p.size, np.nan) if p.limits is None else p.limits for p in parts])
+    spans = None
+    if any(part.spans is not None for part in parts):
+        spans = np.concatenate([np.zeros(p.size) if p.spans is None else p.spans for p in parts])
     if all(isinstance(part, Selection) for part in parts):
         indices = np.concatenate([part.indices for part in parts if isinstance(part, Selection)])
         return Selection(
@@ -132,6 +144,7 @@ def stack(parts: tuple[ObservationOperator, ...], *, same_sensors: bool = False)
             diagnostics=diagnostics,
             sensors=sensors,
             limits=limits,
+            spans=spans,
         )
     return Stacked(
         parts=parts,
@@ -141,6 +154,7 @@ def stack(parts: tuple[ObservationOperator, ...], *, same_sensors: bool = False)
         diagnostics=diagnostics,
         sensors=sensors,
         limits=limits,
+        spans=spans,
     )
 
 
@@ -175,41 +189,6 @@ def _stacked_sensors(parts: tuple[ObservationOperator, ...], same: bool) -> tupl
             return None
         names += [sensor if same else f"{number} {sensor}" for sensor in part.sensors or ()]
     return tuple(names)
-
-
-def block_diagonal(blocks: Sequence[Array]) -> Array:
-    """Return covariances (m_i,) or (m_i, m_i) as one: (m,) where all are diagonal, else (m, m)."""
-    if all(block.ndim == 1 for block in blocks):
-        return np.concatenate(blocks) if blocks else np.empty(0)
-    from scipy.linalg import block_diag
-
-    return np.asarray(block_diag(*(np.diag(block) if block.ndim == 1 else block for block in blocks)))
-
-
-def whiten(covariance: Array, rows: Array) -> Array:
-    """Return L^-1 applied to each of the rows (m,) or (N, m), where L L^T = covariance: unit error variance."""
-    if covariance.ndim == 1:
-        return np.asarray(rows / np.sqrt(covariance))
-    from scipy.linalg import solve_triangular
-
-    return np.asarray(solve_triangular(np.linalg.cholesky(covariance), rows.T, lower=True).T)
-
-
-def whiten_both(covariance: Array, first: Array, second: Array) -> tuple[Array, Array]:
-    """Return ``whiten`` of two arrays of rows; the covariance is factorised only once."""
-    if covariance.ndim == 1:
-        sd = np.sqrt(covariance)
-        return first / sd, second / sd
-    rows = whiten(covariance, np.vstack([first, second]))
-    split = len(rows) - (len(second) if second.ndim == 2 else 1)
-    return rows[:split], rows[split:].reshape(second.shape)
-
-
-def colour(covariance: Array, rows: Array) -> Array:
-    """Return L applied to each of the rows (m,) or (N, m): standard normal numbers become noise of that covariance."""
-    if covariance.ndim == 1:
-        return np.asarray(rows * np.sqrt(covariance))
-    return np.asarray(rows @ np.linalg.cholesky(covariance).T)
 
 
 @dataclass(frozen=True, eq=False)

@@ -167,6 +167,8 @@ class Record:
             "observation_rank": ranks(cycle.observation, cycle.forecast, cycle.predicted),
         }
         row |= _observation_row(cycle, told, self._space, self._file.sensor_numbers)
+        if "observation_span" in row:
+            self._file.require_spans()
         row |= innovation_scores(cycle.observation, expected, spread)
         for kind, diagnostics in cycle.diagnostics.items():
             for name, diagnostic in diagnostics.items():
@@ -268,6 +270,8 @@ def _readings(observation: Observation, uses: Any, times: Array, space: StateSpa
     if isinstance(operator, Selection):
         n_nodes, indices = space.variables[0].size, operator.indices
         row["observation_node"] = indices if n_nodes == space.size else np.where(indices < n_nodes, indices, -1)
+    if operator.spans is not None:
+        row["observation_span"] = operator.spans
     if operator.sensors:
         row["observation_sensor"] = numbers(operator.sensors)
     if operator.coordinates is not None:

@@ -24,6 +24,7 @@ from dafw.core.interpolation import View, view
 from dafw.core.observation import ObservationOperator
 from dafw.core.rng import Streams
 from dafw.core.space import Array, StateSpace
+from dafw.core.spans import Means
 
 MODEL_ERROR = "model error"
 """The role of the belief's own streams."""
@@ -86,7 +87,8 @@ class Rerun:
 
         start      an ensemble of any number of members at the beginning of cycle ``first``, with the model's memory
                    for these members, if there is one; otherwise the model makes a new one
-        operators  observation operators, keyed by the number of the cycle at whose end they are applied
+        operators  observation operators, keyed by the number of the cycle at whose end they are applied; of readings
+                   with a span (``ObservationOperator.spans``) the mean over the cycles of the span is predicted
         role       the name of the random streams; by default the belief's own
         keep       return the ensembles after all cycles
 
@@ -95,9 +97,10 @@ class Rerun:
         """
         if last <= first or first < 0:
             raise ContractError(f"a re-run must go from a cycle to a later one, got {first} to {last}")
-        wanted = {cycle - first + 1: operator for cycle, operator in (operators or {}).items()}
         if outside := [cycle for cycle in operators or {} if not first <= cycle < last]:
             raise ContractError(f"a re-run of cycles {first} to {last - 1} has an operator for cycle {outside[0]}")
+        means = Means(operators or {}, first, self._model.dt)
+        wanted = {cycle - first + 1: operator for cycle, operator in means.applied.items()}
         members = (start if isinstance(start, Ensemble) else start.ensemble).members
         if members.ndim != 2 or members.shape[1] != self._model.space.size:
             raise ContractError(
@@ -110,7 +113,7 @@ class Rerun:
         rng = self._streams.members(role if role == MODEL_ERROR else f"rerun {role}", first)
         batch = Batch(ensemble.members, start.memory, ensemble.time, rng, last - first, wanted, keep)
         stepped = self._executor.submit(self._model, batch)
-        return lambda: self._replay(ensemble, first, last, stepped(), keep)
+        return lambda: self._replay(ensemble, first, last, stepped(), means, keep)
 
     @cached_property
     def coarser(self) -> Rerun:
@@ -132,6 +135,11 @@ class Rerun:
     def space(self) -> StateSpace:
         """The model's state space."""
         return self._model.space
+
+    @property
+    def dt(self) -> float:
+        """The time of a cycle in seconds."""
+        return self._model.dt
 
     @property
     def domain(self) -> Domain | None:
@@ -161,7 +169,7 @@ class Rerun:
         """
         return self._model.checked_log_density(members)
 
-    def _replay(self, ensemble: Ensemble, first: int, last: int, stepped: Stepped, keep: bool) -> Replay:
+    def _replay(self, ensemble: Ensemble, first: int, last: int, stepped: Stepped, means: Means, keep: bool) -> Replay:
         """Check and wrap the executor's result."""
         times = [ensemble.time]
         for _ in range(first, last):
@@ -172,4 +180,4 @@ class Rerun:
             before = Ensemble(ensemble.members, ensemble.space, time, ensemble.weights)
             states.append(self._model.stepped(before, step))
         predicted = {number + first - 1: values for number, values in stepped.predicted.items()}
-        return Replay(states[-1], predicted, tuple(states) if keep else ())
+        return Replay(states[-1], means.of(predicted), tuple(states) if keep else ())

@@ -99,6 +99,13 @@ class RunFile:
             self._layout.define("weight", ("time", "member"), "f8", "1", "weights of the members of the analysis")
             self._note({"weights": True})
 
+    def require_spans(self) -> None:
+        """Define the variable of the readings' spans if it is not there yet."""
+        if "observation_span" not in self._shapes:
+            title = "time over which the reading is a mean, until its own"
+            self._layout.define("observation_span", ("time", "observation"), "f8", "s", title)
+            self._note({"spans": True})
+
     def sensor_numbers(self, names: Sequence[str]) -> list[int]:
         """Return the numbers under which the file lists sensors; a new sensor is added."""
         if "observation_sensor" not in self._shapes:
@@ -184,6 +191,8 @@ class RunFile:
                 self._layout.define(name, ("time", *(dim for dim, _ in sizes)), dtype, units, title)
             case {"weights": True}:
                 self.require_weights()
+            case {"spans": True}:
+                self.require_spans()
             case {"sensor": str(name)}:
                 self.sensor_numbers([name])
             case _:

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from dafw.core.covariances import block_diagonal
 from dafw.core.ensemble import Ensemble, Forecast, Memory, Vehicle
 from dafw.core.errors import ContractError
-from dafw.core.observation import Observation, ObservationOperator, block_diagonal, merged_observations
+from dafw.core.observation import Observation, ObservationOperator, merged_observations
 from dafw.core.space import Array
 
 if TYPE_CHECKING:

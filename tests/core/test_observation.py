@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from dafw import ConfigurationError, ObservationOperator, Selection
-from dafw.core.observation import Stacked, colour, stack, whiten, whiten_both
+from dafw.core.covariances import colour, whiten, whiten_both
+from dafw.core.observation import Stacked, stack
 
 MEMBERS = np.arange(12.0).reshape(3, 4)
 FULL = np.array([[2.0, 0.5], [0.5, 1.0]])

@@ -126,6 +126,13 @@ class Readings(Plugin):
         """
         return ()
 
+    def cycles_covered(self, dt: float) -> int | None:
+        """Return the number of cycles of ``dt`` seconds until all readings are known; None: the source has no end.
+
+        It is the length of a study with ``cycles=null``.
+        """
+        return None
+
     def known_cycles(self) -> int:
         """Return how many first cycles the journal has all readings of; asked after ``begin``.
 

@@ -10,6 +10,7 @@ import numpy as np
 from dafw.core.ensemble import Ensemble, Forecast, Memory
 from dafw.core.errors import DivergenceError, SolverError
 from dafw.core.space import Array, IntArray, StateSpace
+from dafw.core.spans import begins
 from dafw.core.window import Window
 from dafw.plugins.filters.controls import Controls
 from dafw.plugins.filters.likelihood import Likelihood
@@ -77,11 +78,12 @@ class Candidates:
         """Return the candidates stepped to the end of the present cycle, with all readings seen.
 
         ``memory`` has the number of cycles that they have passed, ``done``, and how many readings these had, ``seen``.
-        Candidates whose run fails are left out. If these cycles have more readings by now, which came late, the
-        candidates are run again from the start.
+        Candidates whose run fails are left out. If these cycles have more readings by now, which came late, or a new
+        reading is a mean over some of them, the candidates are run again from the start.
         """
         since = int(memory["done"])
-        if readings_before(window, since) != int(memory["seen"]):
+        new = {cycle.number: cycle.observation.operator for cycle in window.cycles if cycle.number >= since}
+        if readings_before(window, since) != int(memory["seen"]) or begins(new, window.rerun.dt) < since:
             start = window.first.ensemble.with_members(self.starts)
             now, predicted, kept = _run(window, start, window.cycles[0].number)
             return replace(self.taken(kept), fit=_fit(window, predicted, likelihood), predicted=predicted, now=now)

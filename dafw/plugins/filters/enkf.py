@@ -16,9 +16,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dafw.core.covariances import whiten_both
 from dafw.core.ensemble import Analysis, Ensemble
 from dafw.core.interfaces import Filter
-from dafw.core.observation import Observation, whiten_both
+from dafw.core.observation import Observation
 from dafw.core.options import option
 from dafw.core.space import Array
 

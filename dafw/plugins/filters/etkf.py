@@ -31,9 +31,10 @@ from math import sqrt
 
 import numpy as np
 
+from dafw.core.covariances import whiten_both
 from dafw.core.ensemble import Analysis, Ensemble
 from dafw.core.interfaces import Filter
-from dafw.core.observation import Observation, whiten_both
+from dafw.core.observation import Observation
 from dafw.core.options import option
 from dafw.core.space import Array
 from dafw.plugins.filters.rotation import uniform_orthogonal, zero_mean_basis

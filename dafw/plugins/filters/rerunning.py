@@ -29,10 +29,10 @@ from typing import ClassVar
 
 import numpy as np
 
+from dafw.core.covariances import whiten
 from dafw.core.ensemble import Analysis, Diagnostic, Forecast
 from dafw.core.errors import ConfigurationError, DivergenceError, SolverError
 from dafw.core.interfaces import Filter
-from dafw.core.observation import whiten
 from dafw.core.options import option
 from dafw.core.rerun import Replay
 from dafw.core.space import Array, IntArray, StateSpace

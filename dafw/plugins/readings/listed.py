@@ -22,7 +22,7 @@ from dafw.core.observation import Interpolation, Observation
 from dafw.core.options import option
 from dafw.core.space import Array, IntArray, StateSpace
 
-KEYS = ("time", "value", "x", "y", "entry", "sd", "arrives")
+KEYS = ("time", "value", "x", "y", "entry", "sd", "span", "arrives")
 
 
 @dataclass
@@ -30,12 +30,12 @@ class Listed(Readings):
     """Readings given as a list of mappings.
 
     Each has ``time`` (s), ``value``, and ``x`` and ``y`` (m) or ``entry`` (counted from 0; a variable of one number
-    needs neither). It may have ``sd``, the standard deviation of its error, and ``arrives``, the time (s) at which it
-    arrives; by default that is ``time``.
+    needs neither). It may have ``sd``, the standard deviation of its error, ``span``, the seconds until its time over
+    which it is a mean, and ``arrives``, the time (s) at which it arrives; by default that is ``time``.
     """
 
     readings: list[dict[str, Any]] = option(
-        [], "mappings with time (s), value, x and y (m) or entry, and optionally sd and arrives (s)"
+        [], "mappings with time (s), value, x and y (m) or entry, and optionally sd, span (s) and arrives (s)"
     )
     variable: str | None = option(None, "state variable that was read; null: the first")
     sd: float = option(1e-3, "standard deviation of the error of readings without sd", above=0.0)
@@ -67,6 +67,8 @@ class Listed(Readings):
                     raise ConfigurationError(f"{where}: {key} must be a finite number, got {value!r}")
             if reading.get("sd", self.sd) <= 0.0:
                 raise ConfigurationError(f"{where}: sd must be above 0, got {reading['sd']:g}")
+            if reading.get("span", 0.0) < 0.0:
+                raise ConfigurationError(f"{where}: span must be at least 0, got {reading['span']:g}")
             if reading.get("entry", 0) != int(reading.get("entry", 0)):
                 raise ConfigurationError(f"{where}: entry must be a whole number, got {reading['entry']:g}")
             if reading.get("arrives", reading["time"]) < reading["time"]:
@@ -123,6 +125,7 @@ class Listed(Readings):
                 weights=weights[row : row + 1],
                 covariance=np.array([reading.get("sd", self.sd) ** 2]),
                 coordinates=np.array([[reading["x"], reading["y"]]]) if "x" in reading else None,
+                spans=np.array([float(reading["span"])]) if reading.get("span") else None,
             )
             taken.append(Observation(np.array([reading["value"]]), operator, float(reading["time"])))
         return taken

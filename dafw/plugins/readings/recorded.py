@@ -79,13 +79,15 @@ class Usable:
 class Fitted:
     """Readings as observations of one state space: ``values`` and ``variances`` (R,) in ``units``, the variable's.
 
-    ``limits`` (R,) are the detection limits of the readings below them, NaN for all others.
+    ``limits`` (R,) are the detection limits of the readings below them, NaN for all others; ``spans`` (R,) the seconds
+    over which readings are means.
     """
 
     table: Table
     values: Array
     variances: Array
     limits: Array
+    spans: Array
     placed: Placed
     arrives: Array
     counts: Mapping[str, int]
@@ -164,6 +166,12 @@ class Recorded(SensorOptions, FileOptions, Readings):
         """The longitude and latitude of the plane's (0, 0); None: those of the site; raises ReadingsError."""
         return plane_origin(self.rows, self.origin)
 
+    def cycles_covered(self, dt: float) -> int:
+        """Return the number of cycles until the last reading of the file is known, at least one."""
+        table = self.usable.table
+        known = np.fmax(table.number("time"), table.number("arrives"))
+        return max(1, int(np.ceil(known.max(initial=0.0) / dt - FORGIVEN)))
+
     def suit(self, space: StateSpace, domain: Domain | None, dt: float) -> None:
         """Read the file; raises ReadingsError if it cannot be read, or if none of its readings can be used."""
         fitted = self._fitted(space, domain)
@@ -201,7 +209,8 @@ class Recorded(SensorOptions, FileOptions, Readings):
         late = table.number("arrives")
         arrives = np.where(np.isnan(late), table.number("time"), late)
         limits = np.where(table.number("below") == 1.0, 2.0 * values[free], np.nan)  # the value is half the limit
-        fitted = Fitted(table, values[free], sd[free] ** 2, limits, at, arrives, counts, variable.units)
+        spans = np.nan_to_num(table.number("span"))
+        fitted = Fitted(table, values[free], sd[free] ** 2, limits, spans, at, arrives, counts, variable.units)
         self.__dict__["_kept"] = (space, domain, fitted)
         return fitted
 
@@ -213,6 +222,7 @@ class Recorded(SensorOptions, FileOptions, Readings):
         due = np.flatnonzero((fitted.arrives > opened) & (fitted.arrives <= request.end + slack))
         times = np.minimum(fitted.table.number("time")[due], request.end)
         named, limited = any(fitted.table.text("sensor")), not np.isnan(fitted.limits).all()
+        spanned = bool(fitted.spans.any())
         taken = []
         for time in np.unique(times).tolist():
             rows = due[times == time]
@@ -224,6 +234,7 @@ class Recorded(SensorOptions, FileOptions, Readings):
                 coordinates=None if at.coordinates is None else at.coordinates[rows],
                 sensors=tuple(fitted.table.text("sensor")[rows]) if named else None,
                 limits=fitted.limits[rows] if limited else None,
+                spans=fitted.spans[rows] if spanned else None,
             )
             taken.append(Observation(fitted.values[rows], operator, time))
         if request.cycle:

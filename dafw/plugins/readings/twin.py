@@ -16,11 +16,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dafw.core.covariances import colour
 from dafw.core.ensemble import Memory, handed_over
 from dafw.core.errors import ConfigurationError, ContractError
 from dafw.core.interfaces import Readings
 from dafw.core.interfaces.readings import Request, Taken
-from dafw.core.observation import Observation, colour
+from dafw.core.observation import Observation
 from dafw.core.options import option
 from dafw.core.sensor_response import reading_times
 from dafw.core.space import Array

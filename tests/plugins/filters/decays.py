@@ -23,11 +23,15 @@ def covariance(ensemble):
     return ensemble.anomalies.T @ ensemble.anomalies / (len(ensemble) - 1)
 
 
-def listed(values, sd, silent=(), late=()):
-    """Return readings of the first number of the state, one a cycle; the ``late`` ones arrive with the last."""
+def listed(values, sd, silent=(), late=(), span=0.0):
+    """Return readings of the first number of the state, one a cycle; the ``late`` ones arrive with the last.
+
+    Each is a mean over ``span`` seconds.
+    """
     return Listed(
         readings=[
             {"time": cycle + 1.0, "value": float(value), "entry": 0, "sd": sd}
+            | ({"span": span} if span else {})
             | ({"arrives": float(len(values))} if cycle in late else {})
             for cycle, value in enumerate(values)
             if cycle not in silent

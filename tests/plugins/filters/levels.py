@@ -80,9 +80,9 @@ def dafw_plugins():
     return [PluginSpec("model", "levels", "levels:Levels", "a level that decays")]
 
 
-def level_study(filter_, *, model=None, members=20, seed=0, silent=(), late=(), **options):
-    """Return a study of the T readings; those that are late arrive with the last one."""
-    readings = listed(VALUES, SD, silent, late)
+def level_study(filter_, *, model=None, members=20, seed=0, silent=(), late=(), span=0.0, **options):
+    """Return a study of the T readings, means over ``span`` seconds; those that are late arrive with the last one."""
+    readings = listed(VALUES, SD, silent, late, span)
     model = Levels() if model is None else model
     return Study(model=model, filter=filter_, readings=readings, members=members, cycles=T, seed=seed, **options)
 

@@ -83,6 +83,19 @@ def test_after_a_late_reading_they_have_the_bits_of_a_run_from_the_start():
     require_same(candidates.carried_on(now, memory, LIKELIHOOD), first_candidates(now, controls, LIKELIHOOD))
 
 
+def test_readings_that_are_means_over_cycles_before_are_predicted_as_such():
+    """The carried candidates are run again from the start, because a new reading is about earlier cycles, too."""
+    windows, controls = watched(span=3.0)
+    before, now = windows[-2:]
+    memory = {"done": np.array(T - 1), "seen": np.array(readings_before(before, T - 1))}
+    found = first_candidates(before, controls, LIKELIHOOD).carried_on(now, memory, LIKELIHOOD)
+    require_same(found, first_candidates(now, controls, LIKELIHOOD))
+    rate, first = found.starts[:, 1, np.newaxis], found.starts[:, 2, np.newaxis]
+    levels = first * np.exp(-rate * np.arange(1, T + 1))
+    means = [levels[:, max(0, end - 3) : end].mean(axis=1) for end in range(1, T + 1)]
+    np.testing.assert_allclose(found.predicted, np.stack(means, axis=1), rtol=1e-12)
+
+
 def test_candidates_survive_as_arrays_are_joined_and_taken():
     windows, controls = watched()
     candidates = first_candidates(windows[-1], controls, LIKELIHOOD)

@@ -7,8 +7,15 @@ import pytest
 from decays import (
     AMOUNTS,
     CYCLES,
+    MEAN,
+    P0,
+    SD,
     SILENT,
+    VALUES,
     Decay,
+    F,
+    Linear,
+    N,
     covariance,
     cycles_of,
     decay_cycles,
@@ -56,6 +63,20 @@ def test_late_readings_end_in_the_same_belief(window):
     require_moments(last.belief, (means[-1], covariances[-1]))
     for number, belief in last.analysis.revised.items():
         require_moments(belief.ensemble, (means[number], covariances[number]))
+
+
+def test_readings_that_are_means_over_several_cycles_end_in_the_exact_belief():
+    """The mean of the last three states is a linear reading of the first one, so least squares has the answer."""
+    span, powers = 3, np.array([np.linalg.matrix_power(F, power) for power in range(CYCLES + 1)])
+    members, readings = exact_draws(N, MEAN, P0), listed(VALUES, SD, SILENT, span=float(span))
+    last = cycles_of(Linear(members), IEnKS(), readings, CYCLES, N)[-1]
+    rows = np.array(
+        [powers[max(1, end - span + 1) : end + 1, 0].mean(axis=0) for end in range(1, CYCLES + 1)]  # what is read
+    )
+    seen = [cycle for cycle in range(CYCLES) if cycle not in SILENT]
+    gain = P0 @ rows[seen].T @ np.linalg.inv(rows[seen] @ P0 @ rows[seen].T + SD**2 * np.eye(len(seen)))
+    mean, spread = MEAN + gain @ (VALUES[seen] - rows[seen] @ MEAN), P0 - gain @ rows[seen] @ P0
+    require_moments(last.belief, (powers[-1] @ mean, powers[-1] @ spread @ powers[-1].T))
 
 
 # Nonlinear problems --------------------------------------------------------------------------------------------------

@@ -45,6 +45,8 @@ def tables(draw):
     if draw(st.booleans()):
         numbers["sd"] = column(st.floats(1e-300, 1e300))
     if draw(st.booleans()):
+        numbers["span"] = column(st.floats(0.0, 1e300))
+    if draw(st.booleans()):
         numbers["arrives"] = np.where(draw(st.booleans()), numbers["time"], np.nan)
     texts = {}
     if draw(st.booleans()):

@@ -57,6 +57,7 @@ CSV = {
         "time,arrives,value\n2,1,5\n",
         "line 2, column 'arrives': a reading cannot arrive before it is taken, got 1",
     ),
+    "a span below 0": ("time,value,span\n2,1,-5\n", "line 2, column 'span': expected a time from 0, got -5"),
     "a bell in a name": (
         "time,value,sensor\n2,1,a\x07b\n",
         "line 2, column 'sensor': expected a text that can be printed",

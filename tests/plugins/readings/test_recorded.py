@@ -13,9 +13,12 @@ import dafw
 from dafw import ConfigurationError, Domain, Ensemble, Request, StateSpace, Study, Variable
 from dafw.authoring.readings_checks import taken
 from dafw.commands import main
+from dafw.core.composition import compose, study_part
 from dafw.core.errors import ReadingsError
+from dafw.core.experiment import study_from
 from dafw.core.observation import Selection
 from dafw.plugins.filters.enks import EnKS
+from dafw.plugins.filters.esmda import ESMDA
 from dafw.plugins.filters.etkf import ETKF
 from dafw.plugins.models.lorenz96 import Lorenz96
 from dafw.plugins.observers.grid import Grid
@@ -223,6 +226,61 @@ def test_every_sensor_is_averaged_over_its_own_time(tmp_path):
     np.testing.assert_allclose(found["a"], [(2, 1.5, few), (4, 3.5, few), (6, 5.5, few)], rtol=1e-12)
     np.testing.assert_allclose(found["b"], [(3, 2.0, more), (6, 5.0, more)], rtol=1e-12)
     assert found["c"] == [(n, n, 0.5) for n in range(1, 7)]
+
+
+def test_means_have_their_span_whether_averaged_here_or_by_the_instrument(tmp_path):
+    text = "time,x,y,value,sensor,span\n1,0,0,1,a,\n2,0,0,3,a,\n2,0,0,5,b,60\n3,0,0,7,b,0\n"
+    found = collected(recorded(tmp_path, text, sensors={"a": {"averaging": 2.0}}))
+    operators = [one.operator for got in found for one in got.observations]
+    spans = {(name, span) for one in operators for name, span in zip(one.sensors, one.spans, strict=True)}
+    assert spans == {("a", 2.0), ("b", 60.0), ("b", 0.0)}
+    plain = collected(recorded(tmp_path, HEAD + "1,0,0,1\n"))
+    assert plain[0].observations[0].operator.spans is None
+
+
+def test_means_of_a_run_are_means_again(tmp_path):
+    """The belief of a filter that re-runs is repeated to the bit from the readings that the first run wrote."""
+    rows = "".join(f"{n},100,0,{5 + n % 3}\n" for n in range(1, 7))
+    study = {"model": Drift(), "filter": ESMDA(every=6), "members": 8, "cycles": 6, "seed": 1000}
+    run_study(Study(**study, readings=recorded(tmp_path, HEAD + rows, averaging=3.0)), tmp_path / "first")
+    assert main(["readings", str(tmp_path / "first"), "--to", str(tmp_path / "b.csv")]) == 0
+    assert "span" in (tmp_path / "b.csv").read_text().splitlines()[0]
+    again = Recorded.from_options(file=str(tmp_path / "b.csv"))
+    run_study(Study(**study, readings=again), tmp_path / "second")
+    run_study(Study(**study, readings=Recorded.from_options(file=str(without_span(tmp_path)))), tmp_path / "third")
+    runs = [dafw.open_run(tmp_path / one)["gas_mean"].load() for one in ("first", "second", "third")]
+    np.testing.assert_array_equal(runs[0], runs[1])
+    assert np.abs(runs[0] - runs[2])[-1].max() > 0.1
+
+
+def without_span(folder):
+    """Return the path of the same file of readings without its column ``span``."""
+    rows = [line.split(",") for line in (folder / "b.csv").read_text().splitlines()]
+    place = rows[0].index("span")
+    (folder / "c.csv").write_text("".join(",".join(row[:place] + row[place + 1 :]) + "\n" for row in rows))
+    return folder / "c.csv"
+
+
+class Drift(dafw.Model):
+    """The gas grows by its rate."""
+
+    dt, space, domain = 1.0, SPACE, GROUND
+
+    def initial(self, n_members, rng):
+        return np.stack([rng[number].normal(5.0, 2.0, 5) for number in range(n_members)])
+
+    def step(self, members, t, rng):
+        return members + np.array([1.0, 1.0, 1.0, 1.0, 0.0]) * members[:, 4:]
+
+
+def test_a_study_may_end_with_the_last_reading(tmp_path):
+    source = recorded(tmp_path, "time,arrives,x,y,value\n0.5,,0,0,1\n2.5,6.5,0,0,1\n")
+    assert [source.cycles_covered(dt) for dt in (0.1, 0.5, 1.0, 100.0)] == [65, 13, 7, 1]
+    found = study_from(study_part(compose(["experiment=recorded", "cycles=null"])))
+    last = found.readings.usable.table.number("time").max()
+    assert (found.cycles - 1) * found.model.dt < last <= found.cycles * found.model.dt
+    with pytest.raises(ConfigurationError, match=r"cycles=null goes with readings that have a last one.*'twin'"):
+        study_from(study_part(compose(["cycles=null"])))
 
 
 def test_a_share_of_something_else_is_said(tmp_path):

@@ -20,7 +20,7 @@ from dafw.plugins.readings.files.units import linear
 
 SYNONYMS = {"lon": ("lon", "longitude"), "lat": ("lat", "latitude")}
 BRACKETED = re.compile(r"^(.*\S)\s*[(\[]([^()\[\]]*)[)\]]$", re.DOTALL)
-SECONDS_OR_METRES = {"time": "s", "arrives": "s", "x": "m", "y": "m"}
+SECONDS_OR_METRES = {"time": "s", "span": "s", "arrives": "s", "x": "m", "y": "m"}
 """Units of columns of numbers to which the file's own are converted."""
 WITH_UNIT = re.compile(r"^([-+]?[\d.,]+(?:[eE][-+]?\d+)?)\s*([^\s\d.,].*)$", re.DOTALL)
 """A number and its unit in one cell."""
@@ -229,6 +229,7 @@ def _refuse_nonsense(table: Table) -> None:
         _refuse(table, role, (column < low) | (column > high), f"expected degrees from {low:g} to {high:g}")
     sd, entry = table.number("sd"), table.number("entry")
     _refuse(table, "sd", sd <= 0.0, "expected a standard deviation above 0")
+    _refuse(table, "span", table.number("span") < 0.0, "expected a time from 0")
     _refuse(table, "entry", (entry < 0.0) | (entry % 1.0 > 0.0) | (entry > 1e15), "expected a whole number from 0")
     late = table.number("arrives") < table.number("time")
     _refuse(table, "arrives", late, "a reading cannot arrive before it is taken")

@@ -40,6 +40,8 @@ def table_of_run(path: Path) -> tuple[Table, tuple[float, float] | None]:
             "value": of("observation_value"),
             "sd": np.sqrt(of("observation_variance")),
         }
+        if "observation_span" in run:
+            numbers["span"] = np.nan_to_num(of("observation_span"))
         x, y, node = of("observation_x"), of("observation_y"), of("observation_node")
         if np.isfinite(x).all() and np.isfinite(y).all():
             numbers |= {"x": x, "y": y}
@@ -59,7 +61,7 @@ def table_of_run(path: Path) -> tuple[Table, tuple[float, float] | None]:
             texts["sensor"] = np.array([names[number] if number >= 0 else "" for number in which], dtype=object)
         place = [float(run.attrs[key]) for key in ("origin_longitude", "origin_latitude") if key in run.attrs]
     order: dict[str, Array] = {
-        role: numbers[role] for role in ("time", "x", "y", "entry", "value", "sd", "arrives") if role in numbers
+        role: numbers[role] for role in ("time", "x", "y", "entry", "value", "sd", "span", "arrives") if role in numbers
     }
     origin = (place[0], place[1]) if len(place) == 2 else None
     return Table(str(name), "reading", np.arange(len(time)), order, texts), origin

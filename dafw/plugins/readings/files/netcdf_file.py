@@ -102,7 +102,8 @@ def _headers(dataset: Any, options: FileOptions, name: str) -> dict[str, str]:
         if role is not None:
             headers.setdefault(role, str(one))
     if options.columns.value is None and "value" not in headers:
-        taken = set(headers[role] for role in headers if role in (*STANDARD_NAMES, "sensor", "sd", "arrives", "entry"))
+        roles = (*STANDARD_NAMES, "sensor", "sd", "span", "arrives", "entry")
+        taken = set(headers[role] for role in headers if role in roles)
         likely = [
             str(one)
             for one, variable in dataset.variables.items()
@@ -239,8 +240,13 @@ def _attributes(table: Table, role: str) -> dict[str, str]:
         name = "time" if role == "time" else "time at which the reading became known"
         return said | {"long_name": name} | ({"standard_name": "time", "axis": "T"} if date and role == "time" else {})
     named = {"standard_name": STANDARD_NAMES[role]} if role in STANDARD_NAMES else {}
-    units = {"x": "m", "y": "m", "lon": "degrees_east", "lat": "degrees_north", "entry": "1"}
-    long_names = {"value": "reading", "sd": "standard deviation of the reading's error", "entry": "entry of the state"}
+    units = {"x": "m", "y": "m", "span": "s", "lon": "degrees_east", "lat": "degrees_north", "entry": "1"}
+    long_names = {
+        "value": "reading",
+        "sd": "standard deviation of the reading's error",
+        "span": "time over which the reading is a mean, until its time",
+        "entry": "entry of the state",
+    }
     return (
         named
         | ({"units": units[role]} if role in units else {})

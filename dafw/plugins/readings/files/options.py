@@ -25,6 +25,9 @@ class ColumnOptions:
     unit: str | None = option(None, "unit of the value; null: 'unit'")
     sd: str | None = option(None, "standard deviation of the value's error, in the value's unit; null: 'sd'")
     sensor: str | None = option(None, "name of the sensor; null: 'sensor'")
+    span: str | None = option(
+        None, "seconds over which the value is a mean, until its time; null: 'span', or it is none"
+    )
     arrives: str | None = option(None, "time at which the reading became known; null: 'arrives'")
 
 

@@ -126,6 +126,7 @@ def averaged(table: Table, sensors: Mapping[str, SensorOptions]) -> Table:
     kept, alone = table.chosen(first), ~spanned[first]
     columns = {role: np.where(alone, kept.number(role), column) for role, column in (means | ends).items()}
     averages = kept.changed(**columns)
+    averages = averages.changed(span=np.where(alone, kept.number("span"), span[first]))
     return averages.chosen(np.argsort(averages.number("time"), kind="stable"))
 
 

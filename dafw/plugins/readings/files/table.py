@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from dafw.core.errors import ReadingsError
 from dafw.core.space import Array, IntArray
 
-NUMBERS = ("time", "x", "y", "lon", "lat", "entry", "value", "sd", "arrives")
+NUMBERS = ("time", "x", "y", "lon", "lat", "entry", "value", "sd", "span", "arrives")
 """Roles of columns that hold numbers."""
 TEXTS = ("unit", "sensor")
 """Roles of columns that hold texts."""
