@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import wraps
+from inspect import unwrap
 from time import perf_counter
 from typing import Any
 
@@ -75,10 +76,17 @@ def check(kind: str) -> Callable[[Callable[[Factory], None]], Callable[[Factory]
             with threadpool_limits(limits=1, user_api="blas"):
                 function(factory)
 
-        CHECKS[kind][function.__name__] = Check(kind, function.__name__, reason, run)
+        known = CHECKS[kind] | {function.__name__: Check(kind, function.__name__, reason, run)}
+        CHECKS[kind] = dict(sorted(known.items(), key=lambda entry: _place(entry[1])))
         return function
 
     return register
+
+
+def _place(one: Check) -> tuple[str, int]:
+    """Return the module and the line of a check: the order of checks does not depend on what was imported first."""
+    function = unwrap(one.run)
+    return function.__module__, function.__code__.co_firstlineno
 
 
 def made(kind: str, factory: Factory) -> Plugin:

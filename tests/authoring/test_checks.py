@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from dataclasses import dataclass
 
 import numpy as np
@@ -116,6 +118,12 @@ def test_a_declared_failure_of_no_check_is_refused():
     declared = type("Declared", (NoFilter,), {"expected_failures": {"prior": "misspelt"}})
     with pytest.raises(ConformanceError, match=r"'prior', which is no check \(checks: shapes, "):
         check_filter(declared)
+
+
+def test_the_order_of_checks_does_not_depend_on_what_was_imported_first():
+    code = "import dafw.authoring.filter_windows; from dafw.testing import CHECKS; print(*CHECKS['filter'])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == list(CHECKS["filter"])
 
 
 def test_another_kind_is_refused():
