@@ -46,6 +46,15 @@ def test_places_go_on_when_the_file_is_begun_anew_or_gone(tmp_path, monkeypatch)
     assert opened(tmp_path, third.end).waiting == [fourth] and fourth.end == third.end + 2
 
 
+def test_what_came_is_known_again_until_much_else_came(tmp_path, monkeypatch):
+    monkeypatch.setattr(inbox, "RECENT", 3)
+    (first, *_) = opened(tmp_path).put([b"one", b"\xff", b"three"])
+    again = opened(tmp_path, first.end)  # what was taken before a kill is known, too
+    assert again.has([b"one"]) and again.has([b"three", b"\xff"]) and not again.has([b"one", b"four"])
+    again.put([b"four"])
+    assert not again.has([b"one"]) and again.has([b"four"])
+
+
 def test_a_message_that_was_being_written_at_a_kill_is_cut_off(tmp_path):
     (line,) = opened(tmp_path).put([b"one"])
     with (tmp_path / FILE).open("ab") as stream:

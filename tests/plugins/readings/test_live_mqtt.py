@@ -238,7 +238,8 @@ def test_what_was_confirmed_and_not_used_before_a_kill_is_in_the_inbox_and_what_
         dropped(killed)
         sender.publish("dafw/readings", b"6")
         again = heard_by(taken, goes_on=True)
-        assert [heard(again).text for _ in range(6)] == ["2", "3", "4", "5", "5", "6"]
+        # The broker sends the fifth again, because nobody told it; but it is in the inbox, so it counts once.
+        assert [heard(again).text for _ in range(5)] == ["2", "3", "4", "5", "6"]
         assert again.kept and again.next(0.0) is None
         again.close()
         assert not (tmp_path / FILE).exists()  # all of it is taken

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections import deque
 from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -27,6 +28,8 @@ from dafw.plugins.readings.feed.messages import LONGEST
 FILE = "inbox.jsonl"
 LARGE = 1 << 20
 """Bytes of lines that were taken, from which the file is begun anew."""
+RECENT = 1000
+"""Lines that are remembered, to know a message that a broker sends again."""
 HEAD = 1000
 """Bytes that the first line may have."""
 CHUNK = 1 << 16
@@ -73,6 +76,7 @@ class Inbox:
         self.waiting: list[Line] = []
         self._begins = self._end = taken
         self._stream = -1
+        self._recent: deque[int] = deque(maxlen=RECENT)  # the hashes of lines, which may be long
         head = head_of(path)
         if head is not None:
             self.waiting = self._read(head, taken)
@@ -87,7 +91,9 @@ class Inbox:
         with self.path.open("rb") as stream:
             stream.seek(head.size)
             while data := stream.read(CHUNK):
-                found += [line for line in splitter.feed(data) if line.end > taken]
+                lines = splitter.feed(data)
+                self._recent.extend(hash(line.text) for line in lines)
+                found += [line for line in lines if line.end > taken]
                 size += len(data)
                 whole = size - len(data) + data.rfind(b"\n") + 1 if b"\n" in data else whole
         os.truncate(self.path, whole)
@@ -126,7 +132,12 @@ class Inbox:
         except OSError as error:
             raise self._unwritable(error) from error
         self._end += len(data)
+        self._recent.extend(hash(line.text) for line in found)
         return found
+
+    def has(self, parts: Iterable[bytes]) -> bool:
+        """Return whether all these lines are among the last ones that came, those before a kill included."""
+        return all(hash(line_of(part).text) in self._recent for part in parts)
 
     def all_taken(self) -> None:
         """Begin the file anew if it is large; called when all lines are in the journal. Raises RecordError."""
