@@ -10,12 +10,14 @@ import pytest
 
 from benchmarks import curves, mismatch
 from benchmarks.cycle import SMALL
+from benchmarks.machine import implicit_step
 
 ROOT = Path(__file__).parent.parent
 RERUNS = ["rerun.over_stepping_2k7", "rerun.fct_over_stepping_2k7"]
 RECOMMENDED = [f"cycle.realtime_recommended{size}" for size in ("", "_10k", "_10k_n100")]
 COARSE = "cycle.realtime_coarse_search_10k"
-NAMES = ["cycle.realtime_factor_n10", *RECOMMENDED, COARSE, "cycle.over_literal", "cycle.overhead_ms", *RERUNS]
+MACHINE = "machine.solve_2k7"
+NAMES = ["cycle.realtime_factor_n10", MACHINE, *RECOMMENDED, COARSE, "cycle.over_literal", "cycle.overhead_ms", *RERUNS]
 
 
 @pytest.fixture(scope="module")
@@ -48,6 +50,15 @@ def test_recommended_runs_name_their_goals_and_what_was_run(results):
 @pytest.mark.parametrize("name", RERUNS)
 def test_both_ways_to_run_again_come_to_the_same_members(results, name):
     assert 0.0 < results[name]["detail"]["largest_difference"] < 1e-8
+
+
+def test_the_system_that_tells_a_machines_speed_conserves_what_is_transported():
+    points = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 1.0], [0.0, 1.0], [0.7, 0.4]])
+    triangles = np.array([[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]])
+    matrix = implicit_step(points, triangles).toarray()
+    np.testing.assert_allclose(matrix.sum(axis=1).sum(), 2.0)  # a constant is not moved: only its mass is left
+    inner = matrix - implicit_step(points[:, ::-1], triangles[:, ::-1]).toarray()
+    np.testing.assert_allclose(inner.sum(axis=1), 0.0, atol=1e-14)  # another direction of the wind, the same mass
 
 
 def test_the_parts_of_a_cycle_fit_into_it(results):
