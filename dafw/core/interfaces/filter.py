@@ -83,6 +83,13 @@ class Filter(Plugin):
         """
         raise NotImplementedError(f"{self.label} has a window and must define analyse_window(window, rng)")
 
+    def unfinished(self, memory: Memory | None) -> bool:
+        """Return whether a filter that looks back is asked in the next cycle even if that has no new readings.
+
+        ``memory`` is that of its last analysis, in which its limits may have left something undone.
+        """
+        return False
+
     def suit(self, space: StateSpace, n_members: int) -> None:
         """Raise ConfigurationError if the filter cannot work with a state space or a number of members."""
 
@@ -117,9 +124,12 @@ class Filter(Plugin):
         return self._checked_analysis(analysis, forecast)
 
     def look_back(self, window: Window, rng: np.random.Generator) -> Analysis:
-        """Analyse a window and check, as ``update`` does; without new readings the analysis is the forecast."""
+        """Analyse a window and check, as ``update`` does.
+
+        Without new readings the analysis is the forecast, unless the last one was ``unfinished``.
+        """
         forecast = window.forecast.ensemble
-        if window.observation.values.size == 0 and not window.late:
+        if window.observation.values.size == 0 and not window.late and not self.unfinished(window.memory):
             return self._unchanged(forecast, window.memory)
         try:
             analysis = self.analyse_window(window, rng)

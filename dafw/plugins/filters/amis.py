@@ -31,7 +31,7 @@ from typing import Any
 
 import numpy as np
 
-from dafw.core.ensemble import Analysis, Diagnostic
+from dafw.core.ensemble import Analysis, Diagnostic, Memory
 from dafw.core.interfaces import Filter
 from dafw.core.options import option
 from dafw.core.space import Array, StateSpace
@@ -86,6 +86,10 @@ class AMIS(Filter):
         """Raise ConfigurationError for control variables that the state does not have."""
         Controls(space, self.estimate)
 
+    def unfinished(self, memory: Memory | None) -> bool:
+        """Return whether weights were left degenerate: in cycles without readings the search goes on."""
+        return memory is not None and bool(memory["unfinished"])
+
     def analyse_window(self, window: Window, rng: np.random.Generator) -> Analysis:
         """Return members drawn from the weighted samples."""
         number, ensemble = window.cycles[-1].number, window.forecast.ensemble
@@ -101,7 +105,8 @@ class AMIS(Filter):
             weights = normalized(log_base + fit)
             # Weights that are all but equal are not degenerate, however few they are.
             enough = min(self.enough * size, EQUAL * len(samples))
-            if effective_size(weights) >= enough or cost * (batches + 1) > self.steps or batches == self.batches:
+            degenerate = effective_size(weights) < enough
+            if not degenerate or cost * (batches + 1) > self.steps or batches == self.batches:
                 break
             # At most half of the samples count equally: a few good ones among bad ones say nothing of the covariance.
             leading = clipped(log_base + fit, int(min(max(size, n_moments(len(controls))), 0.5 * len(samples))))
@@ -130,7 +135,9 @@ class AMIS(Filter):
         kept = samples.taken(indices)
         kept = replace(kept, log_kept=kept.log_kept + np.log(chance))
         done = {"done": np.array(number + 1), "seen": np.array(readings_before(window, number + 1))}
-        memory = {**kept.to_memory(), **kernels.to_memory(), **done, **always}
+        # In a cycle in which no batch can be afforded, nothing would be gained.
+        unfinished = {"unfinished": np.array(degenerate and cost + size <= self.steps)}
+        memory = {**kept.to_memory(), **kernels.to_memory(), **done, **always, **unfinished}
         diagnostics = self._diagnostics(samples, weights, batches * size)
         diagnostics |= self.likelihood.seen(window, samples.predicted, samples.fit, weights)
         diagnostics |= response_seen(samples.fit, weights, self.likelihood)

@@ -76,6 +76,10 @@ class CoarseSearch(Filter):
         memory = self._base.initial_memory(n_members)
         return None if memory is None else {f"{BASE}{name}": array for name, array in memory.items()}
 
+    def unfinished(self, memory: Memory | None) -> bool:
+        """Return whether the base has more to do."""
+        return self._base.unfinished(_of_base(memory or {}))
+
     def analyse_window(self, window: Window, rng: np.random.Generator) -> Analysis:
         """Return the forecast, or the members that the base found, run with the model itself."""
         number = window.cycles[-1].number
@@ -130,9 +134,13 @@ class CoarseSearch(Filter):
         forecast = rerun(before, since, number + 1).forecast
         predicted = cycles[-1].observation.operator.apply(forecast.ensemble.members)
         predicted.setflags(write=False)
-        of_base = {name.removeprefix(BASE): memory[name] for name in memory if name.startswith(BASE)} or None
         late = tuple((cycle, read(observation)) for cycle, observation in window.late)
-        return Window(cycles, forecast, predicted, late, of_base, rerun)
+        return Window(cycles, forecast, predicted, late, _of_base(memory), rerun)
+
+
+def _of_base(memory: Memory) -> Memory | None:
+    """Return the base's part of the memory."""
+    return {name.removeprefix(BASE): memory[name] for name in memory if name.startswith(BASE)} or None
 
 
 def _numbers(space: StateSpace) -> IntArray:

@@ -248,6 +248,26 @@ def test_a_control_that_is_no_variable_is_refused_before_the_run(make):
 # amis ----------------------------------------------------------------------------------------------------------------
 
 
+def test_in_cycles_without_readings_the_search_goes_on_until_weights_are_good():
+    """One reading, and a batch a cycle: what the first analysis could not finish, later ones do."""
+    silent = set(range(1, T))
+    cycles = list(level_study(amis(batches=1, enough=2.5, archive=10), members=20, silent=silent))
+    runs = [diagnosed(cycle, "runs") if cycle.analysis.diagnostics else 0.0 for cycle in cycles]
+    last = max(number for number, count in enumerate(runs) if count)
+    assert 0 < last < T - 1 and min(runs[: last + 1]) == 20.0  # then it is finished, and the forecast is kept
+    assert bool(cycles[last - 1].state.filter_memory["unfinished"])
+    after = cycles[-1]
+    assert not after.state.filter_memory["unfinished"]
+    assert after.belief.members.tobytes() == after.forecast.members.tobytes()
+    # Nothing is affordable any more: the memory stays as it is, though the weights are bad.
+    (poor, *rest) = list(level_study(amis(steps=20, batches=1, enough=1.0), members=20, silent=silent))
+    assert not poor.state.filter_memory["unfinished"] and all(not cycle.analysis.diagnostics for cycle in rest)
+
+
+def test_the_posterior_of_an_early_reading_is_found_in_silent_cycles():
+    require_posterior(amis(batches=1), posterior(seen=[0, 1]), members=20, seeds=20, silent=set(range(2, T)))
+
+
 def test_amis_knows_the_density_that_each_sample_was_drawn_from():
     """Batch by batch, sum_b n_b q_b has become what it is from all proposals at once, the first guess included."""
     filter_, members = amis(archive=100, fresh=0.25), 16
