@@ -47,7 +47,9 @@ def shapes(factory: Factory) -> None:
         try:
             asked(factory, problem)
             nothing = problem.in_order(np.empty(0, dtype=np.int64))
-            last = asked(factory, problem, problem, nothing)[-1]
+            *_, before, last = asked(factory, problem, problem, nothing)
+            if factory().unfinished(before.state.filter_memory):
+                continue  # it goes on with the readings that it had
             require_same_bits(after(last).members, last.forecast.members, "no readings, and another belief")
             require_same_bits(after(last).weights, last.forecast.weights, "no readings, and other weights")
         except Exception as error:

@@ -7,7 +7,8 @@ A sample z has the weight ::
 with the prior p, the likelihood L of all readings so far, and the mixture q of the proposals of all batches b so far.
 So a sample stays of use for good: new readings only change its likelihood. The first batch is the first guess, with q_0
 = p. A further batch is proposed where the weights are degenerate, that is, where their effective sample size is below
-``enough``. It is drawn from ::
+``enough``; and one batch an analysis where weights are good, but even the best sample misses the readings by more than
+their errors allow. It is drawn from ::
 
     q_b = fresh p + (1 - fresh) (mean over centres c and widths h of t_5(z; c, h^2 C))
 
@@ -36,7 +37,15 @@ from dafw.core.interfaces import Filter
 from dafw.core.options import option
 from dafw.core.space import Array, StateSpace
 from dafw.core.window import Window
-from dafw.plugins.filters.candidates import Candidates, first_candidates, log_prior_of, readings_before, rows, tried
+from dafw.plugins.filters.candidates import (
+    Candidates,
+    first_candidates,
+    is_explained,
+    log_prior_of,
+    readings_before,
+    rows,
+    tried,
+)
 from dafw.plugins.filters.controls import Controls
 from dafw.plugins.filters.kernels import Kernels
 from dafw.plugins.filters.likelihood import Likelihood
@@ -105,8 +114,10 @@ class AMIS(Filter):
             weights = normalized(log_base + fit)
             # Weights that are all but equal are not degenerate, however few they are.
             enough = min(self.enough * size, EQUAL * len(samples))
-            degenerate = effective_size(weights) < enough
-            if not degenerate or cost * (batches + 1) > self.steps or batches == self.batches:
+            finished = effective_size(weights) >= enough and is_explained(window, samples.fit, self.likelihood)
+            if finished or (batches and effective_size(weights) >= enough):
+                break
+            if cost * (batches + 1) > self.steps or batches == self.batches:
                 break
             # At most half of the samples count equally: a few good ones among bad ones say nothing of the covariance.
             leading = clipped(log_base + fit, int(min(max(size, n_moments(len(controls))), 0.5 * len(samples))))
@@ -136,7 +147,7 @@ class AMIS(Filter):
         kept = replace(kept, log_kept=kept.log_kept + np.log(chance))
         done = {"done": np.array(number + 1), "seen": np.array(readings_before(window, number + 1))}
         # In a cycle in which no batch can be afforded, nothing would be gained.
-        unfinished = {"unfinished": np.array(degenerate and cost + size <= self.steps)}
+        unfinished = {"unfinished": np.array(not finished and cost + size <= self.steps)}
         memory = {**kept.to_memory(), **kernels.to_memory(), **done, **always, **unfinished}
         diagnostics = self._diagnostics(samples, weights, batches * size)
         diagnostics |= self.likelihood.seen(window, samples.predicted, samples.fit, weights)

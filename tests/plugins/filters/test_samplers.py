@@ -1,5 +1,7 @@
 """The filters that sample the control variables, amis and smc, against quadrature and exact solutions."""
 
+from dataclasses import dataclass, field
+
 import numpy as np
 import pytest
 from levels import (
@@ -14,7 +16,7 @@ from levels import (
     posterior,
 )
 
-from dafw import ConfigurationError
+from dafw import ConfigurationError, Model, StateSpace, Study, Variable
 from dafw.authoring.filter_windows import Elsewhere
 from dafw.core.errors import OptionError, SolverError
 from dafw.core.executors.processes import Processes
@@ -22,8 +24,10 @@ from dafw.core.options import require_options
 from dafw.plugins.filters.amis import AMIS
 from dafw.plugins.filters.controls import Controls
 from dafw.plugins.filters.kernels import Kernels
+from dafw.plugins.filters.likelihood import Likelihood
 from dafw.plugins.filters.smc import POWERS, SMC, next_power, resampled
 from dafw.plugins.filters.weights import effective_size, normalized
+from dafw.plugins.readings.listed import Listed
 
 SEEDS = 40
 LIMIT, RUNS = 0.7, 12
@@ -262,6 +266,42 @@ def test_in_cycles_without_readings_the_search_goes_on_until_weights_are_good():
     # Nothing is affordable any more: the memory stays as it is, though the weights are bad.
     (poor, *rest) = list(level_study(amis(steps=20, batches=1, enough=1.0), members=20, silent=silent))
     assert not poor.state.filter_memory["unfinished"] and all(not cycle.analysis.diagnostics for cycle in rest)
+
+
+@dataclass
+class Threshold(Model):
+    """Shows by how much a number x is above 3, else nothing; the first guess of x is a standard normal one."""
+
+    dt: float = 1.0
+    space: StateSpace = field(default_factory=lambda: StateSpace([Variable("shown", 1), Variable("x", 1)]))
+
+    def initial(self, n_members, rng):
+        return self.settled(np.repeat(rng.draw(n_members, lambda one: one.standard_normal(1)), 2, axis=1))
+
+    def step(self, members, t, rng):
+        return members
+
+    def settled(self, members):
+        return np.column_stack([np.maximum(members[:, 1] - 3.0, 0.0), members[:, 1]])
+
+    def log_first_guess(self, members):
+        return -0.5 * members[:, 1] ** 2
+
+
+def test_samples_that_are_all_equally_bad_are_not_taken_for_good_ones():
+    """None of the first guess shows anything, so all have the same weight; but something was read."""
+    filter_ = AMIS(estimate=["x"], likelihood=Likelihood(absolute=[0.05]), steps=1000)
+    readings = Listed([{"time": 1.0, "value": 0.5, "entry": 0, "sd": 0.05}])
+    cycles = list(Study(model=Threshold(), filter=filter_, readings=readings, members=10, cycles=20))
+    assert cycles[0].forecast.members[:, 0].max() == 0.0
+    last = cycles[-1].belief
+    # The product of the two normal densities: that of the reading has the variance R + 0.05^2.
+    variance = 1.0 / (1.0 + 1.0 / 0.005)
+    assert last.mean[1] == pytest.approx(variance * 3.5 / 0.005, abs=3.0 * np.sqrt(variance))
+    # Readings of nothing, which all explain, ask for no search.
+    nothing = Listed([{"time": 1.0, "value": 0.0, "entry": 0, "sd": 0.05}])
+    first = next(iter(Study(model=Threshold(), filter=filter_, readings=nothing, members=10, cycles=1)))
+    assert diagnosed(first, "runs") == 0.0
 
 
 def test_the_posterior_of_an_early_reading_is_found_in_silent_cycles():
