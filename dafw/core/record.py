@@ -76,7 +76,7 @@ class Record:
             journal=journal if before is None else None,
         )
         self._rows: list[dict[str, Any]] = []
-        self._row_bytes = 0
+        self._row_bytes = self._most = 0
         self._revised: dict[int, Ensemble] = {}
         self._thin = fields == "ends"
         self._done = 0
@@ -97,7 +97,9 @@ class Record:
         row = self._append(cycle.state, cycle.truth, cycle)
         for done, revised in cycle.analysis.revised.items():
             self._revised[done] = revised.ensemble
-        if len(self._rows) == 1:  # rows are about equally large; to add them all up takes 2 % of a small cycle
+        # Rows with as many readings are equally large; to add up every row takes 2 % of a small cycle.
+        if len(self._rows) == 1 or cycle.observation.values.size > self._most:
+            self._most = cycle.observation.values.size
             self._row_bytes = sum(value.nbytes for value in row.values() if isinstance(value, np.ndarray))
         if perf_counter() - self._flushed > FLUSH_SECONDS or len(self._rows) * self._row_bytes > HELD_BYTES:
             self.flush()

@@ -84,9 +84,9 @@ class Filter(Plugin):
         raise NotImplementedError(f"{self.label} has a window and must define analyse_window(window, rng)")
 
     def unfinished(self, memory: Memory | None) -> bool:
-        """Return whether a filter that looks back is asked in the next cycle even if that has no new readings.
+        """Return whether a filter that looks back wants to be called in a cycle although that has no new readings.
 
-        ``memory`` is that of its last analysis, in which its limits may have left something undone.
+        ``memory`` is what its last analysis returned. A filter may have stopped there because its time was up.
         """
         return False
 

@@ -7,8 +7,9 @@ A sample z has the weight ::
 with the prior p, the likelihood L of all readings so far, and the mixture q of the proposals of all batches b so far.
 So a sample stays of use for good: new readings only change its likelihood. The first batch is the first guess, with q_0
 = p. A further batch is proposed where the weights are degenerate, that is, where their effective sample size is below
-``enough``; and one batch an analysis where weights are good, but even the best sample misses the readings by more than
-their errors allow. It is drawn from ::
+``enough``. If they are good, but even the best sample misses the readings by more than their errors allow
+(explained.py), one batch is proposed, and more if the weights are bad then. In cycles without readings this goes on. A
+batch is drawn from ::
 
     q_b = fresh p + (1 - fresh) (mean over centres c and widths h of t_5(z; c, h^2 C))
 
@@ -40,13 +41,13 @@ from dafw.core.window import Window
 from dafw.plugins.filters.candidates import (
     Candidates,
     first_candidates,
-    is_explained,
     log_prior_of,
     readings_before,
     rows,
     tried,
 )
 from dafw.plugins.filters.controls import Controls
+from dafw.plugins.filters.explained import is_explained
 from dafw.plugins.filters.kernels import Kernels
 from dafw.plugins.filters.likelihood import Likelihood
 from dafw.plugins.filters.linearised import can_linearise, linearised
@@ -96,14 +97,17 @@ class AMIS(Filter):
         Controls(space, self.estimate)
 
     def unfinished(self, memory: Memory | None) -> bool:
-        """Return whether weights were left degenerate: in cycles without readings the search goes on."""
-        return memory is not None and bool(memory["unfinished"])
+        """Return whether weights were left degenerate, or readings unexplained, or not looked at."""
+        return memory is not None and bool(memory.get("unfinished", False))
 
     def analyse_window(self, window: Window, rng: np.random.Generator) -> Analysis:
         """Return members drawn from the weighted samples."""
         number, ensemble = window.cycles[-1].number, window.forecast.ensemble
         if (number + 1) % self.every:
-            return Analysis(ensemble.members, window.memory, weights=ensemble.weights)
+            memory = window.memory
+            if memory is not None and window.observation.values.size:
+                memory = {**memory, "unfinished": np.array(True)}
+            return Analysis(ensemble.members, memory, weights=ensemble.weights)
         controls, size = Controls(ensemble.space, self.estimate), len(ensemble)
         samples, kernels = self._known(window, controls)
         cost = size * len(window.cycles)
@@ -114,7 +118,7 @@ class AMIS(Filter):
             weights = normalized(log_base + fit)
             # Weights that are all but equal are not degenerate, however few they are.
             enough = min(self.enough * size, EQUAL * len(samples))
-            finished = effective_size(weights) >= enough and is_explained(window, samples.fit, self.likelihood)
+            finished = effective_size(weights) >= enough and is_explained(window, samples, self.likelihood)
             if finished or (batches and effective_size(weights) >= enough):
                 break
             if cost * (batches + 1) > self.steps or batches == self.batches:

@@ -163,23 +163,6 @@ def tried(
         return None  # each of them failed for itself; the candidates so far are not concerned
 
 
-def is_explained(window: Window, fit: Array, likelihood: Likelihood) -> bool:
-    """Return whether the best of candidates misses the readings so far by no more than their errors allow.
-
-    Its log likelihood, one of ``fit`` (P, S), is compared with that of exact predictions, for the errors that fit it
-    best. For errors as large as they are said to be it is lower by about 1/2 for each reading that counts, with a
-    standard deviation of about the root of half their number. With backgrounds, which explain readings as well as
-    candidates do, nothing is compared.
-    """
-    best = fit[np.argmax(likelihood.averaged(fit))]
-    case, values = int(np.argmax(best)), window.values[np.newaxis]
-    if likelihood.has_background or not values.size:
-        return True
-    missed = _fit(window, values, likelihood)[0, case] - best[case]
-    count = values.size
-    return bool(missed <= 1.0 + likelihood.independence * (0.5 * count + 2.0 * np.sqrt(0.5 * count)))
-
-
 def _fit(
     window: Window, predicted: Array, likelihood: Likelihood, since: int = 0, before: Array | None = None
 ) -> Array:

@@ -77,8 +77,9 @@ class CoarseSearch(Filter):
         return None if memory is None else {f"{BASE}{name}": array for name, array in memory.items()}
 
     def unfinished(self, memory: Memory | None) -> bool:
-        """Return whether the base has more to do."""
-        return self._base.unfinished(_of_base(memory or {}))
+        """Return whether the base has more to do, or the belief has not been given yet what it found."""
+        memory = memory or {}
+        return bool(memory.get("waiting", False)) or self._base.unfinished(_of_base(memory))
 
     def analyse_window(self, window: Window, rng: np.random.Generator) -> Analysis:
         """Return the forecast, or the members that the base found, run with the model itself."""
@@ -92,6 +93,7 @@ class CoarseSearch(Filter):
         kept |= {} if coarse.weights is None else {"weights": coarse.weights}
         kept |= {f"{BASE}{name}": array for name, array in (found.memory or {}).items()}
         kept |= {f"{MODEL}{name}": array for name, array in (coarse_memory or {}).items()}
+        kept["waiting"] = np.array((number + 1) % self.renew != 0)
         renewed, belief, weights = 0, window.forecast, window.forecast.ensemble.weights
         if (number + 1) % self.renew == 0:
             if window.rerun.view_of_coarser is None:

@@ -51,6 +51,7 @@ from dafw.core.interfaces import Filter
 from dafw.core.options import option
 from dafw.core.registry import registry
 from dafw.core.space import FIELD, NONNEGATIVE, Array, IntArray, StateSpace, Variable
+from dafw.core.spans import cycles_of
 from dafw.core.window import Window
 from dafw.plugins.filters.localization import gaspari_cohn, not_negative
 
@@ -105,6 +106,11 @@ class Local(Filter):
         """Return the base's memory."""
         memory = self._base.initial_memory(n_members)
         return None if memory is None else {f"{BASE}{name}": array for name, array in memory.items()}
+
+    def unfinished(self, memory: Memory | None) -> bool:
+        """Return whether the base has more to do."""
+        of_base = {name.removeprefix(BASE): array for name, array in (memory or {}).items() if name.startswith(BASE)}
+        return self._base.unfinished(of_base or None)
 
     def analyse_window(self, window: Window, rng: np.random.Generator) -> Analysis:
         """Return the base's analysis with the correction so far, as the model carried it, and the new one."""
@@ -176,13 +182,14 @@ class Local(Filter):
         return self._base.look_back(inner, rng)
 
     def _readings(self, window: Window, belief: Ensemble) -> tuple[IntArray, Array, Array]:
-        """Return which readings (m,) have a place, what the members of a belief predict for them (N, m), and R (m, m).
+        """Return which readings (m,) are used, what the members of a belief predict for them (N, m), and R (m, m).
 
-        R includes the errors that are not corrected.
+        They have a place, and are no means over earlier cycles. R includes the errors that are not corrected.
         """
         seen, operator = window.observation, window.observation.operator
         places = np.empty((seen.values.size, 0)) if operator.coordinates is None else operator.coordinates
-        used = np.flatnonzero(np.isfinite(places).all(axis=1) & (places.shape[1] > 0))
+        at_once = cycles_of(operator, window.rerun.dt) == 1
+        used = np.flatnonzero(np.isfinite(places).all(axis=1) & (places.shape[1] > 0) & at_once)
         predicted = operator.apply(belief.members)[:, used]
         R = operator.covariance if operator.covariance.ndim == 2 else np.diag(operator.covariance)  # noqa: N806
         largest = np.maximum(np.abs(seen.values[used]), np.abs(belief.average(predicted)))

@@ -18,6 +18,7 @@ from dafw.core.errors import ConfigurationError
 from dafw.core.interfaces import Readings
 from dafw.core.interfaces.readings import Request
 from dafw.core.interpolation import weights_at
+from dafw.core.late import FORGIVEN
 from dafw.core.observation import Interpolation, Observation
 from dafw.core.options import option
 from dafw.core.space import Array, IntArray, StateSpace
@@ -75,6 +76,11 @@ class Listed(Readings):
                 raise ConfigurationError(
                     f"{where} arrives at {reading['arrives']:g} s, before its time, {reading['time']:g} s"
                 )
+
+    def cycles_covered(self, dt: float) -> int:
+        """Return the number of cycles until the last reading is known, at least one."""
+        known = [max(r["time"], r.get("arrives", r["time"])) for r in self.readings]
+        return max(1, int(np.ceil(max(known, default=0.0) / dt - FORGIVEN)))
 
     def suit(self, space: StateSpace, domain: Domain | None, dt: float) -> None:
         """Raise ConfigurationError if a reading's place or entry is not one of the variable."""

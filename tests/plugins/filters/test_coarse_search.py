@@ -106,6 +106,21 @@ def test_the_belief_has_the_numbers_that_were_found_and_the_fields_of_the_model_
         assert abs(belief.average(state[name][:, 0]) - true) < 0.1 * true
 
 
+def test_what_was_found_is_shown_though_no_reading_comes_any_more():
+    """The last readings are those of the first cycle, and the belief is renewed every third."""
+    study = hump_study(Hump(), renew=3)
+    study.readings.readings[:] = [reading for reading in study.readings.readings if reading["time"] == 1.0]
+    cycles = list(study)
+    renewed = [
+        float(cycle.analysis.diagnostics["renewed"].values) if cycle.analysis.diagnostics else 0.0 for cycle in cycles
+    ]
+    assert renewed[:2] == [0.0, 0.0] and renewed[2] > 0.0
+    last = cycles[-1].state.filter_memory
+    assert not last["waiting"] and not cycles[-1].analysis.diagnostics  # then it is left alone
+    state = cycles[2].belief.space.unpack(cycles[2].belief.members)
+    assert abs(cycles[2].belief.average(state["amount"][:, 0]) - TRUE["amount"]) < 0.3 * TRUE["amount"]
+
+
 def test_between_renewals_the_model_carries_the_belief_on():
     cycles = list(hump_study(Hump(), renew=3))
     for cycle in cycles:

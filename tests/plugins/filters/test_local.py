@@ -47,6 +47,23 @@ class Still(Model):
         return moved.reshape(members.shape)
 
 
+def test_the_base_goes_on_in_cycles_without_readings_if_it_wants_to():
+    filter_ = Local(base={"name": "amis"})
+    assert filter_.unfinished({"base unfinished": np.array(True)})
+    assert not filter_.unfinished({"base unfinished": np.array(False)}) and not filter_.unfinished(None)
+
+
+def test_a_mean_over_several_cycles_is_left_to_the_base():
+    """It is no value at the end of its span, so what it misses there says nothing of the model's error."""
+    readings = [{"time": float(time), "x": 40.0, "y": 30.0, "value": 2.0} for time in (1, 2, 3)]
+    moved = []
+    for span in (3.0, 1.0):
+        listed = Listed(readings=[{**reading, "span": span} for reading in readings])
+        study = Study(model=Still(), filter=Local(base={"name": "none"}), readings=listed, members=5, cycles=3)
+        moved.append(any(cycle.belief.members.tobytes() != cycle.forecast.members.tobytes() for cycle in study))
+    assert moved == [False, True]
+
+
 def node(x, y):
     return int(np.argmin(np.abs(NODES - [x, y]).sum(axis=1)))
 

@@ -48,11 +48,18 @@ def test_places_go_on_when_the_file_is_begun_anew_or_gone(tmp_path, monkeypatch)
 
 def test_what_came_is_known_again_until_much_else_came(tmp_path, monkeypatch):
     monkeypatch.setattr(inbox, "RECENT", 3)
-    (first, *_) = opened(tmp_path).put([b"one", b"\xff", b"three"])
-    again = opened(tmp_path, first.end)  # what was taken before a kill is known, too
-    assert again.has([b"one"]) and again.has([b"three", b"\xff"]) and not again.has([b"one", b"four"])
-    again.put([b"four"])
-    assert not again.has([b"one"]) and again.has([b"four"])
+    one = opened(tmp_path)
+    (first,) = one.put([b"412"], 1)
+    one.put([b"412"], 2)
+    one.put([b"a", b"\xff"], 3)
+    assert not one.had([b"412"], 4)  # another message with the same text
+    assert not one.had([b"a"], 3) and one.had([b"a", b"\xff"], 3)
+    assert one.had([b"412"], 1) and not one.had([b"412"], 1)  # it is sent again once
+    again = opened(tmp_path, first.end)  # what came before a kill is known without its number, taken or not
+    assert again.had([b"412"], 7) and again.had([b"\xff"], 8) and not again.had([b"b"], 9)
+    for number in range(3):
+        again.put([b"%d" % number], number)
+    assert not again.had([b"412"], 7) and again.had([b"2"], 2)
 
 
 def test_a_message_that_was_being_written_at_a_kill_is_cut_off(tmp_path):

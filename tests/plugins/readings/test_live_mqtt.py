@@ -250,7 +250,7 @@ def test_a_message_that_cannot_be_kept_is_not_confirmed_and_the_run_ends(tmp_pat
     options = BrokerOptions(port=port)
     with broker(tmp_path, port), link(port, "other") as sender:
         full = Broker(options, "dafw/readings", "the run", inbox=Inbox(tmp_path / FILE, 0, "the run"))
-        monkeypatch.setattr(Inbox, "put", lambda own, parts: full_disk())
+        monkeypatch.setattr(Inbox, "put", lambda own, parts, message: full_disk())
         sender.publish("dafw/readings", b"1")
         waited_for(lambda: full._unwritable is not None)
         monkeypatch.undo()

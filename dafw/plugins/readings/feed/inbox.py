@@ -28,8 +28,8 @@ from dafw.plugins.readings.feed.messages import LONGEST
 FILE = "inbox.jsonl"
 LARGE = 1 << 20
 """Bytes of lines that were taken, from which the file is begun anew."""
-RECENT = 1000
-"""Lines that are remembered, to know a message that a broker sends again."""
+RECENT = 20
+"""Messages that are remembered, to know one that the broker sends again: it waits for so many receipts at once."""
 HEAD = 1000
 """Bytes that the first line may have."""
 CHUNK = 1 << 16
@@ -76,7 +76,8 @@ class Inbox:
         self.waiting: list[Line] = []
         self._begins = self._end = taken
         self._stream = -1
-        self._recent: deque[int] = deque(maxlen=RECENT)  # the hashes of lines, which may be long
+        # The number of a message, None from before a kill, and the hash of its lines, which may be long.
+        self._recent: deque[tuple[int | None, int]] = deque(maxlen=RECENT)
         head = head_of(path)
         if head is not None:
             self.waiting = self._read(head, taken)
@@ -92,7 +93,7 @@ class Inbox:
             stream.seek(head.size)
             while data := stream.read(CHUNK):
                 lines = splitter.feed(data)
-                self._recent.extend(hash(line.text) for line in lines)
+                self._recent.extend((None, hash((line.text,))) for line in lines)
                 found += [line for line in lines if line.end > taken]
                 size += len(data)
                 whole = size - len(data) + data.rfind(b"\n") + 1 if b"\n" in data else whole
@@ -118,8 +119,8 @@ class Inbox:
     def _unwritable(self, error: OSError) -> RecordError:
         return RecordError(f"{self.path}: cannot be written ({error.strerror or error})")
 
-    def put(self, parts: Iterable[bytes]) -> list[Line]:
-        """Append lines, and return them; they are in the file then. Raises RecordError."""
+    def put(self, parts: Iterable[bytes], message: int = 0) -> list[Line]:
+        """Append the lines of a ``message``, and return them; they are in the file then. Raises RecordError."""
         found, data = [], bytearray()
         for part in parts:
             data += (part if len(part) <= LONGEST else TOO_LONG) + b"\n"
@@ -132,12 +133,20 @@ class Inbox:
         except OSError as error:
             raise self._unwritable(error) from error
         self._end += len(data)
-        self._recent.extend(hash(line.text) for line in found)
+        self._recent.append((message, _hash_of(found)))
         return found
 
-    def has(self, parts: Iterable[bytes]) -> bool:
-        """Return whether all these lines are among the last ones that came, those before a kill included."""
-        return all(hash(line_of(part).text) in self._recent for part in parts)
+    def had(self, parts: Iterable[bytes], message: int) -> bool:
+        """Return whether a ``message`` with these lines came a short time ago; it is not taken for another one then.
+
+        What came before a kill has no number, so its lines alone are compared.
+        """
+        lines = _hash_of([line_of(part) for part in parts])
+        for known in ((message, lines), (None, lines)):
+            if known in self._recent:
+                self._recent.remove(known)
+                return True
+        return False
 
     def all_taken(self) -> None:
         """Begin the file anew if it is large; called when all lines are in the journal. Raises RecordError."""
@@ -152,3 +161,7 @@ class Inbox:
         if empty:
             with suppress(OSError):
                 self.path.unlink()
+
+
+def _hash_of(lines: Iterable[Line]) -> int:
+    return hash(tuple(line.text for line in lines))

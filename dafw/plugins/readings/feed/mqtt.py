@@ -216,7 +216,7 @@ class Broker:
     def _on_message(self, client: Any, data: Any, message: Any) -> None:
         parts = [part for part in message.payload.splitlines() if part.strip()]
         with self._changed:
-            if message.dup and self._inbox is not None and self._inbox.has(parts):
+            if message.dup and self._inbox is not None and self._inbox.had(parts, message.mid):
                 parts = []  # sent again, because the broker was not told of the receipt
             room = self._held + sum(map(_size_of, parts)) <= HELD
             if not room:
@@ -225,7 +225,7 @@ class Broker:
                 self._hold(map(line_of, parts))
             elif self._unwritable is None:
                 try:
-                    self._hold(self._inbox.put(parts))
+                    self._hold(self._inbox.put(parts, message.mid))
                 except RecordError as error:
                     self._unwritable = error
             self._changed.notify()
