@@ -105,7 +105,7 @@ class AMIS(Filter):
         number, ensemble = window.cycles[-1].number, window.forecast.ensemble
         if (number + 1) % self.every:
             memory = window.memory
-            if memory is not None and window.observation.values.size:
+            if memory is not None and (window.observation.values.size or window.late):
                 memory = {**memory, "unfinished": np.array(True)}
             return Analysis(ensemble.members, memory, weights=ensemble.weights)
         controls, size = Controls(ensemble.space, self.estimate), len(ensemble)
