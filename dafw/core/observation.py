@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -125,7 +126,9 @@ def stack(parts: tuple[ObservationOperator, ...], *, same_sensors: bool = False)
     """
     coordinates = _stacked_coordinates(parts)
     covariance = block_diagonal([part.covariance for part in parts])
-    noise = block_diagonal([part.noise for part in parts])
+    noise = None
+    if any(part.noise_covariance is not None for part in parts):
+        noise = block_diagonal([part.noise for part in parts])
     diagnostics = {name: value for part in reversed(parts) for name, value in part.diagnostics.items()}
     sensors = _stacked_sensors(parts, same_sensors)
     limits = None
@@ -134,28 +137,25 @@ def stack(parts: tuple[ObservationOperator, ...], *, same_sensors: bool = False)
     spans = None
     if any(part.spans is not None for part in parts):
         spans = np.concatenate([np.zeros(p.size) if p.spans is None else p.spans for p in parts])
+    common: dict[str, Any] = {
+        "covariance": covariance,
+        "noise_covariance": noise,
+        "coordinates": coordinates,
+        "diagnostics": diagnostics,
+        "sensors": sensors,
+        "limits": limits,
+        "spans": spans,
+    }
+    # One operator with large arrays instead of many with small ones: a filter may keep those of all cycles.
     if all(isinstance(part, Selection) for part in parts):
         indices = np.concatenate([part.indices for part in parts if isinstance(part, Selection)])
-        return Selection(
-            indices=indices,
-            covariance=covariance,
-            noise_covariance=noise,
-            coordinates=coordinates,
-            diagnostics=diagnostics,
-            sensors=sensors,
-            limits=limits,
-            spans=spans,
-        )
-    return Stacked(
-        parts=parts,
-        covariance=covariance,
-        noise_covariance=noise,
-        coordinates=coordinates,
-        diagnostics=diagnostics,
-        sensors=sensors,
-        limits=limits,
-        spans=spans,
-    )
+        return Selection(indices=indices, **common)
+    entries = {part.indices.shape[1] if isinstance(part, Interpolation) else 0 for part in parts}
+    if len(entries) == 1 and 0 not in entries:
+        several = [part for part in parts if isinstance(part, Interpolation)]
+        indices = np.concatenate([part.indices for part in several])
+        return Interpolation(indices=indices, weights=np.concatenate([part.weights for part in several]), **common)
+    return Stacked(parts=parts, **common)
 
 
 def below_limit(limits: Array, variances: Array) -> tuple[Array, Array]:

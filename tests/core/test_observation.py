@@ -5,7 +5,7 @@ import pytest
 
 from dafw import ConfigurationError, ObservationOperator, Selection
 from dafw.core.covariances import colour, whiten, whiten_both
-from dafw.core.observation import Stacked, stack
+from dafw.core.observation import Interpolation, Stacked, stack
 
 MEMBERS = np.arange(12.0).reshape(3, 4)
 FULL = np.array([[2.0, 0.5], [0.5, 1.0]])
@@ -40,6 +40,28 @@ def test_stacked_selections_stay_a_selection():
     np.testing.assert_array_equal(stacked.apply(MEMBERS), MEMBERS[:, [0, 2, 3]])
     np.testing.assert_array_equal(stacked.covariance, [1.0, 2.0, 3.0])
     np.testing.assert_array_equal(stacked.coordinates, [[1, 2], [np.nan, np.nan], [np.nan, np.nan]])
+
+
+def test_stacked_interpolations_stay_one_with_the_same_readings():
+    def between(first, second, share, **more):
+        places = {"indices": np.array([[first, second]]), "weights": np.array([[1.0 - share, share]])}
+        return Interpolation(covariance=np.array([0.5 + share]), sensors=("a",), **places, **more)
+
+    parts = (between(0, 1, 0.25), between(2, 3, 0.5, limits=np.array([0.1])), between(1, 3, 1.0, spans=np.array([4.0])))
+    stacked = stack(parts, same_sensors=True)
+    assert isinstance(stacked, Interpolation) and stacked.sensors == ("a",) * 3 and stacked.noise_covariance is None
+    np.testing.assert_allclose(
+        stacked.apply(MEMBERS), np.hstack([part.apply(MEMBERS) for part in parts]), rtol=1e-15, atol=0
+    )
+    np.testing.assert_array_equal(stacked.covariance, [0.75, 1.0, 1.5])
+    np.testing.assert_array_equal(stacked.limits, [np.nan, 0.1, np.nan])
+    np.testing.assert_array_equal(stacked.spans, [0.0, 0.0, 4.0])
+    # Of other widths, or beside other operators, they stay apart.
+    wider = Interpolation(indices=np.array([[0, 1, 2]]), weights=np.ones((1, 3)) / 3.0, covariance=np.ones(1))
+    for other in (wider, Sum(covariance=np.ones(1))):
+        mixed = stack((parts[0], other))
+        assert isinstance(mixed, Stacked)
+        np.testing.assert_array_equal(mixed.apply(MEMBERS)[:, 1:], other.apply(MEMBERS))
 
 
 def test_places_of_any_dimension_are_stacked():
