@@ -104,7 +104,7 @@ _moment("before the end of a cycle is noted", journal.Journal, "end", CYCLES, "c
 _moment("inside a checkpoint", np.lib.format, "write_array", 60, "array", half_an_array)
 
 
-def half_a_message(own: Any, parts: Any) -> None:
+def half_a_message(own: Any, parts: Any, message: int) -> None:
     """Append a part of a message to the inbox."""
     os.write(own._stream, b'{"time": 0.')
 
