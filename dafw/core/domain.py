@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 GRID = 80
 """Steps of the grid of ``Domain.ways`` along the longer side."""
 SKIN = 1e-3
-"""Depth in metres to which ``Domain.distances`` lets a segment touch an obstacle."""
+"""Depth in metres to which an obstacle may be touched, and width of the rectangle's edge."""
 
 
 def node_areas(nodes: Array, triangles: NDArray[Any]) -> Array:
@@ -115,8 +115,8 @@ class Domain:
         return shapely.STRtree(shapely.buffer(self._polygons, -SKIN))
 
     def are_inside(self, points: Array) -> NDArray[np.bool_]:
-        """Return which of the points (m, 2) lie inside the rectangle or on its edge."""
-        low, high = np.array(self.bounds[:2]), np.array(self.bounds[2:])
+        """Return which of the points (m, 2) lie inside the rectangle or a millimetre beside it: nodes are rounded."""
+        low, high = np.array(self.bounds[:2]) - SKIN, np.array(self.bounds[2:]) + SKIN
         return np.asarray(((low <= points) & (points <= high)).all(axis=1))
 
     def are_in_obstacles(self, points: Array) -> NDArray[np.bool_]:

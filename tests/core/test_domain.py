@@ -78,3 +78,9 @@ def test_no_way_leads_out_of_a_yard():
     rings += [[[2, 2], [3, 2], [3, 8], [2, 8]], [[7, 2], [8, 2], [8, 8], [7, 8]]]
     yard = Domain((0.0, 0.0, 10.0, 10.0), tuple(np.array(ring, dtype=float) for ring in rings))
     np.testing.assert_array_equal(yard.distances(np.array([5.0, 5.0]), np.array([[1.0, 5.0]]), 100.0), [np.inf])
+
+
+def test_a_place_on_the_edge_is_inside_though_it_is_rounded():
+    ground = Domain((-400.0, -300.0, 400.0, 300.0))
+    places = np.array([[-400.00000000000006, 0.0], [400.0, 300.0], [0.0, 300.0001], [0.0, 300.1], [-401.0, 0.0]])
+    assert ground.are_inside(places).tolist() == [True, True, True, False, False]
