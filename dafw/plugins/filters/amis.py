@@ -118,8 +118,9 @@ class AMIS(Filter):
             weights = normalized(log_base + fit)
             # Weights that are all but equal are not degenerate, however few they are.
             enough = min(self.enough * size, EQUAL * len(samples))
-            finished = effective_size(weights) >= enough and is_explained(window, samples, self.likelihood)
-            if finished or (batches and effective_size(weights) >= enough):
+            good = effective_size(weights) >= enough
+            finished = good and is_explained(window, samples, self.likelihood)
+            if finished or (good and batches):
                 break
             if cost * (batches + 1) > self.steps or batches == self.batches:
                 break

@@ -31,9 +31,7 @@ from dafw.core.registry import registry
 from dafw.core.space import IntArray, StateSpace
 from dafw.core.window import Window
 from dafw.plugins.filters.candidates import joined_forecasts, rows
-
-BASE, MODEL = "base ", "model "
-"""Prefixes, in the memory, of the base's memory and of the coarser model's memory of its members."""
+from dafw.plugins.filters.wrapped import BASE, MODEL, part_of
 
 
 @dataclass
@@ -78,8 +76,7 @@ class CoarseSearch(Filter):
 
     def unfinished(self, memory: Memory | None) -> bool:
         """Return whether the base has more to do, or the belief has not been given yet what it found."""
-        memory = memory or {}
-        return bool(memory.get("waiting", False)) or self._base.unfinished(_of_base(memory))
+        return bool((memory or {}).get("waiting", False)) or self._base.unfinished(part_of(memory, BASE))
 
     def analyse_window(self, window: Window, rng: np.random.Generator) -> Analysis:
         """Return the forecast, or the members that the base found, run with the model itself."""
@@ -130,19 +127,13 @@ class CoarseSearch(Filter):
         since = cycles[0].number
         if "done" in memory:
             since = int(memory["done"])
-            of_model = {name.removeprefix(MODEL): memory[name] for name in memory if name.startswith(MODEL)}
             last = Ensemble(memory["members"], rerun.space, float(memory["time"]), memory.get("weights"))
-            before = Forecast(last, of_model or None)
+            before = Forecast(last, part_of(memory, MODEL))
         forecast = rerun(before, since, number + 1).forecast
         predicted = cycles[-1].observation.operator.apply(forecast.ensemble.members)
         predicted.setflags(write=False)
         late = tuple((cycle, read(observation)) for cycle, observation in window.late)
-        return Window(cycles, forecast, predicted, late, _of_base(memory), rerun)
-
-
-def _of_base(memory: Memory) -> Memory | None:
-    """Return the base's part of the memory."""
-    return {name.removeprefix(BASE): memory[name] for name in memory if name.startswith(BASE)} or None
+        return Window(cycles, forecast, predicted, late, part_of(memory, BASE), rerun)
 
 
 def _numbers(space: StateSpace) -> IntArray:

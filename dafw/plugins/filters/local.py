@@ -54,9 +54,7 @@ from dafw.core.space import FIELD, NONNEGATIVE, Array, IntArray, StateSpace, Var
 from dafw.core.spans import cycles_of
 from dafw.core.window import Window
 from dafw.plugins.filters.localization import gaspari_cohn, not_negative
-
-BASE, MODEL = "base ", "model "
-"""Prefixes, in the memory, of the base's memory and of the model's memory of its members."""
+from dafw.plugins.filters.wrapped import BASE, MODEL, part_of
 
 
 @dataclass
@@ -109,8 +107,7 @@ class Local(Filter):
 
     def unfinished(self, memory: Memory | None) -> bool:
         """Return whether the base has more to do."""
-        of_base = {name.removeprefix(BASE): array for name, array in (memory or {}).items() if name.startswith(BASE)}
-        return self._base.unfinished(of_base or None)
+        return self._base.unfinished(part_of(memory, BASE))
 
     def analyse_window(self, window: Window, rng: np.random.Generator) -> Analysis:
         """Return the base's analysis with the correction so far, as the model carried it, and the new one."""
@@ -163,16 +160,14 @@ class Local(Filter):
         number = window.cycles[-1].number
         if "done" not in memory:
             return window.forecast, memory
-        of_model = {name.removeprefix(MODEL): memory[name] for name in memory if name.startswith(MODEL)}
         before = Ensemble(memory["members"], window.forecast.ensemble.space, float(memory["time"]))
         before = before.with_members(before.members, memory.get("weights"))
-        start = Forecast(before, of_model or None)
+        start = Forecast(before, part_of(memory, MODEL))
         return window.rerun(start, int(memory["done"]), number + 1).forecast, memory
 
     def _base_analysis(self, window: Window, forecast: Forecast, rng: np.random.Generator) -> Analysis:
         """Return the base's analysis of its own forecast."""
-        memory: Memory = window.memory or {}
-        of_base = {name.removeprefix(BASE): memory[name] for name in memory if name.startswith(BASE)} or None
+        of_base = part_of(window.memory, BASE)
         seen = window.observation
         predicted = seen.operator.apply(forecast.ensemble.members)
         if self._base.window == 0:
