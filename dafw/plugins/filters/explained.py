@@ -21,6 +21,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from dafw.core.space import Array
 from dafw.core.window import Window
 from dafw.plugins.filters.candidates import Candidates
 from dafw.plugins.filters.likelihood import Likelihood
@@ -33,15 +34,16 @@ def is_explained(window: Window, samples: Candidates, likelihood: Likelihood) ->
     Readings below a detection limit are left out: it is not known by how much they are missed. With backgrounds, which
     explain readings as well as samples do, nothing is judged: it is True.
     """
-    if likelihood.has_background or not window.values.size:
+    values = window.values
+    if likelihood.has_background or not values.size:
         return True
     best = np.array([int(np.argmax(likelihood.averaged(samples.fit)))])
     fit = samples.fit[best]
     shown = as_shown(window, samples.predicted[best], fit, np.ones(1), likelihood)[0]
-    seen = _is_seen(window, likelihood)
-    values = window.values[seen]
-    scale = likelihood.variances(shown, fit[0], window.values, window.covariance)[seen]
-    missed = (values - shown[seen]) ** 2 / scale
+    # Correlations play no part here, and the covariance of all readings may be a large matrix.
+    variances = np.concatenate([cycle.observation.variance for cycle in window.cycles])
+    seen = _is_seen(window, values, likelihood)
+    missed = ((values - shown) ** 2 / likelihood.variances(shown, fit[0], values, variances))[seen]
     degrees = likelihood.degrees_of_freedom
     if degrees is None:
         cost, mean, variance = 0.5 * missed, 0.5, 0.5
@@ -52,16 +54,16 @@ def is_explained(window: Window, samples: Candidates, likelihood: Likelihood) ->
         cost = half * np.log1p(missed / degrees)
         mean = float(half * (digamma(half) - digamma(0.5 * degrees)))
         variance = float(half**2 * (polygamma(1, 0.5 * degrees) - polygamma(1, half)))
-    count = likelihood.independence * values.size
+    count = likelihood.independence * missed.size
     return bool(likelihood.independence * cost.sum() <= 1.0 + count * mean + 2.0 * np.sqrt(count * variance))
 
 
-def _is_seen(window: Window, likelihood: Likelihood) -> NDArray[np.bool_]:
-    """Return whether each reading (M,) is a value, not only something below a limit."""
+def _is_seen(window: Window, values: Array, likelihood: Likelihood) -> NDArray[np.bool_]:
+    """Return whether each of the readings ``values`` (M,) is a value, not only something below a limit."""
     seen = []
     for cycle in window.cycles:
-        values, limits = cycle.observation.values, cycle.observation.operator.limits
-        seen.append(np.ones(values.size, dtype=np.bool_) if limits is None else np.isnan(limits))
+        limits = cycle.observation.operator.limits
+        seen.append(np.ones(cycle.observation.values.size, dtype=np.bool_) if limits is None else np.isnan(limits))
     own = np.concatenate(seen)
     limit = likelihood.detection_limit
-    return own if limit is None else np.logical_and(own, window.values >= limit)
+    return own if limit is None else np.logical_and(own, values >= limit)
