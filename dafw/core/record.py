@@ -28,12 +28,12 @@ from dafw.core.files import made_anew
 from dafw.core.observation import Observation, Selection
 from dafw.core.run_file import RunFile
 from dafw.core.run_layout import STAGES
-from dafw.core.space import Array, StateSpace, Variable
+from dafw.core.space import Array, IntArray, StateSpace, Variable
 
 FLUSH_SECONDS = 0.5
 HELD_BYTES = 32_000_000
 type Entries = Iterable[tuple[dict[str, Any], dict[str, Array]]]
-type Numbers = Callable[[Sequence[str]], list[int]]
+type Numbers = Callable[[Sequence[str]], IntArray]
 
 
 class Record:

@@ -22,7 +22,7 @@ from dafw.core.cycle import Parts
 from dafw.core.ensemble import Diagnostic
 from dafw.core.errors import ContractError, RunError
 from dafw.core.run_layout import RunLayout
-from dafw.core.space import Array
+from dafw.core.space import Array, IntArray
 
 HDF_ERROR = -101
 """The number of netCDF's error when HDF5 fails."""
@@ -60,6 +60,8 @@ class RunFile:
             hint = "; import netCDF4 before dolfinx.fem.petsc" if _hidden_library(error) else ""
             raise RunError(f"{path}: cannot be written, or holds a run already ({error}){hint}") from error
         self._sensors: dict[str, int] = {}
+        self._names: Sequence[str] | None = None
+        self._numbers = np.empty(0, dtype=np.int64)
         self._written = 0
         self._extents: dict[str, tuple[int, int]] = {}  # of the variables of readings that have values
         scored = parts.model.space.variables[0].name
@@ -106,8 +108,10 @@ class RunFile:
             self._layout.define("observation_span", ("time", "observation"), "f8", "s", title)
             self._note({"spans": True})
 
-    def sensor_numbers(self, names: Sequence[str]) -> list[int]:
+    def sensor_numbers(self, names: Sequence[str]) -> IntArray:
         """Return the numbers under which the file lists sensors; a new sensor is added."""
+        if names is self._names:  # those of the cycle before
+            return self._numbers
         if "observation_sensor" not in self._shapes:
             self._layout.define_sensors()
         for name in names:
@@ -115,7 +119,8 @@ class RunFile:
                 self._file.variables["sensor_name"][len(self._sensors)] = name
                 self._sensors[name] = len(self._sensors)
                 self._note({"sensor": name})
-        return [self._sensors[name] for name in names]
+        self._names, self._numbers = names, np.array([self._sensors[name] for name in names], dtype=np.int64)
+        return self._numbers
 
     def write(self, rows: Sequence[Mapping[str, Any]]) -> None:
         """Add rows (values by the variable's name) and synchronise; variables that a row lacks stay missing."""
