@@ -52,6 +52,11 @@ class AdvectionDiffusion(OnMesh):
     dt: float = option(1.0, "time step in seconds", above=0.0)
     release: list[float] = option([0.0, 0.0], "place of the (first) release, [x, y] in metres")
     release_radius: float = option(30.0, "standard deviation of the released Gaussian cloud, in metres", above=0.0)
+    release_sd: float | None = option(
+        None,
+        "uncertainty of a release's place where that is estimated: standard deviation, m; null: release_radius",
+        minimum=0.0,
+    )
     source: SourceOptions = option(SourceOptions, "the kind and amount of the release, and more sources")
     wind_speed: float = option(5.0, "first guess of the wind speed: mean, m/s", minimum=0.0)
     wind_speed_sd: float = option(0.0, "first guess of the wind speed: standard deviation, m/s (Weibull)", minimum=0.0)

@@ -52,6 +52,7 @@ class Guess(Protocol):
     wind_change: WindChangeOptions
     release: list[float]
     release_radius: float
+    release_sd: float | None
     source: SourceOptions
     transport: Any
     estimate: list[str]
@@ -66,10 +67,10 @@ def about(name: str, mean: float, sd: float) -> Prior:
 
 def _others(guess: Guess) -> dict[str, Possible]:
     """Return what can be estimated of every model besides the wind, in the order of the state."""
-    radius = guess.release_radius
+    off = guess.release_radius if guess.release_sd is None else guess.release_sd
     usual: dict[str, tuple[Kind, str, Callable[[float], Prior]]] = {
-        "release_x": (FIELD, "m", lambda x: about("normal", x, radius)),
-        "release_y": (FIELD, "m", lambda y: about("normal", y, radius)),
+        "release_x": (FIELD, "m", lambda x: about("normal", x, off)),
+        "release_y": (FIELD, "m", lambda y: about("normal", y, off)),
         "amount": (POSITIVE, "1", lambda amount: about("lognormal", amount, 0.5)),
         "rate": (POSITIVE, "s-1", lambda rate: about("lognormal", rate, 1.0)),
         "leak_start": (FIELD, "s", lambda start: Prior("uniform", {"low": 0.0, "high": max(60.0, 2.0 * start)})),
