@@ -64,7 +64,7 @@ class AdvectionDiffusionINS(AdvectionDiffusion):
     def __post_init__(self) -> None:
         super().__post_init__()
         require_uniform(self.wind)
-        if "viscosity" in self.estimate:
+        if "viscosity" in self.estimate and not self.certain:
             require_constant(self.wind)
 
     def own_unknowns(self) -> Mapping[str, Possible]:

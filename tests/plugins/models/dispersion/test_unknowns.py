@@ -34,6 +34,14 @@ def test_what_is_estimated_is_drawn_after_the_wind_which_keeps_its_draws():
     assert len(np.unique(diffusion)) == 40 and (diffusion > 0.0).all()
 
 
+@pytest.mark.parametrize(("release_sd", "expected"), [(2.0, 2.0), (None, SMALL["release_radius"])])
+def test_the_place_of_a_release_is_as_uncertain_as_the_option_says(release_sd, expected):
+    made = model(estimate=["release_x", "release_y"], release_sd=release_sd)
+    drawn = made.space.unpack(guess(made, 400).members)
+    for name in ("release_x", "release_y"):
+        assert drawn[name].std() == pytest.approx(expected, rel=0.15)  # four standard errors
+
+
 def test_a_member_is_carried_with_its_own_diffusion():
     made = model(estimate=["diffusion"], wind_speed_sd=0.0, wind_direction_sd=0.0)
     start = guess(made, 3)

@@ -119,3 +119,5 @@ def test_what_cannot_be_estimated_is_refused(make):
 def test_a_truth_that_is_certain_has_the_viscosity_of_its_options(make):
     truth = make(certain=True, wind={"viscosity": 40.0})
     assert truth.space.unpack(guess(truth, 1).ensemble.members)["viscosity"].item() == 40.0
+    other = make(certain=True, wind={"viscosity": 40.0, "closure": "proportional"})
+    assert other.space.unpack(guess(other, 1).ensemble.members)["viscosity"].item() == 40.0

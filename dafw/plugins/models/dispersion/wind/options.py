@@ -89,7 +89,7 @@ def require_constant(options: WindOptions) -> None:
     if options.closure != "constant":
         raise ConfigurationError(
             f"estimate: the viscosity can be estimated with the closure 'constant' only, got '{options.closure}', with "
-            "which all winds have the same pattern"
+            "which all winds have the same pattern; list what else is unknown, such as model.estimate=[diffusion]"
         )
 
 
