@@ -71,7 +71,7 @@ REDUCED = {
         f"dafw study filters {COARSE} {BASIS} members=4 --seeds 300 --configurations true_wind,policy=route",
         "one run as above",
     ),
-    r"^dafw study mismatch$": (
+    r"^dafw study mismatch.*": (
         f"dafw study mismatch {COARSE} {BASIS} members=4 --seeds 200 --configurations amount_off",
         "one run and its floor as above",
     ),
