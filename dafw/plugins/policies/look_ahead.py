@@ -121,6 +121,15 @@ def _costs_around(ways: Ways, places: Array, costs: Array, nodes: Array, loss: f
     return np.asarray(least[points] + loss * distances)
 
 
+def can_fly(vehicle: Vehicle, steps: Array) -> bool:
+    """Return whether no building is in the way of a step (V, 2) of each vehicle, in metres.
+
+    One was, for a drone that is not where it was sent: it waited for advice, or the wind has carried it off.
+    """
+    places, airspace = vehicle.positions, vehicle.airspace
+    return airspace is None or all(airspace.is_free(*leg) for leg in zip(places, places + steps, strict=True))
+
+
 def onward(vehicle: Vehicle, steps: Array, left: IntArray) -> Route:
     """Return the next leg of each vehicle, ``steps`` (V, 2) in metres, of ``left`` (V,) legs; it hovers if none is."""
     legs = zip(vehicle.positions, steps, left, strict=True)
@@ -173,7 +182,7 @@ class LookAhead(Policy):
         vehicle, n_vehicles, decided = outlook.vehicle, len(outlook.vehicle.positions), outlook.memory
         if not n_vehicles:
             return Route(())
-        if decided is not None and decided["left"].all():
+        if decided is not None and decided["left"].all() and can_fly(vehicle, decided["steps"]):
             return onward(vehicle, decided["steps"], decided["left"])
         cycles = max(1, round(self.horizon / vehicle.dt))
         paths = [free_paths(position, vehicle, self.headings, cycles) for position in vehicle.positions]

@@ -302,6 +302,17 @@ def test_it_decides_before_the_free_legs_of_a_path_are_over():
     np.testing.assert_array_equal(route.memory["left"], [0])
 
 
+def test_it_decides_anew_where_a_vehicle_is_not_where_it_was_sent_and_the_way_is_blocked():
+    belief, domain = belief_of([cloud(60.0, 0.0), cloud(80.0, 0.0)]), walled(square(36.0, 0.0))
+    memory = {"steps": np.array([[10.0, 0.0]]), "left": np.array([2])}
+    for place, decided in (([[0.0, 0.0]], False), ([[30.0, 0.0]], True)):
+        vehicle = Vehicle(np.array(place), 10.0, airspace=domain)
+        outlook = Outlook(Forecast(belief), vehicle, memory, 0, Rerun(Drifting(belief.space), Serial(), Streams(0)))
+        route = LookAhead(horizon=4.0).route(belief, vehicle, memory, np.random.default_rng(0), outlook)
+        assert bool(route.diagnostics) is decided
+        assert domain.is_free(vehicle.positions[0], route.ends[0]) and (route.ends != vehicle.positions).any()
+
+
 def flown(executor):
     """The routes of a small study in uncertain winds, with model error; its decisions as bytes."""
     parts = {"observer": "drone", "filter": "etkf", "executor": executor}
