@@ -88,27 +88,23 @@ def ranks(observation: Observation, forecast: Ensemble, predicted: Array) -> Arr
     of a reading among the members (Hamill 2001, doi:10.1175/1520-0493(2001)129<0550:IORHFV>2.0.CO;2), with the
     average over all draws of the readings' errors in place of one draw.
     """
-    place = (observation.values - predicted) * (STEPS / np.sqrt(observation.variance))
-    place += FARTHEST * STEPS
-    np.fmin(np.fmax(place, 0.0, out=place), 2.0 * FARTHEST * STEPS, out=place)
+    off = (observation.values - predicted) / np.sqrt(observation.variance)
+    place = np.fmin(np.fmax((off + FARTHEST) * STEPS, 0.0), 2.0 * FARTHEST * STEPS)
     row = place.astype(np.int64)
     below, rise = _normal_distribution()
-    place -= row
-    place *= rise.take(row)
-    place += below.take(row)
-    return forecast.average(place)
+    return forecast.average(below[row] + (place - row) * rise[row])
 
 
-FARTHEST, STEPS = 8, 64
+FARTHEST, STEPS = 8.5, 482
 """Range of the table of the normal distribution, in standard deviations, and its rows in one of them."""
 
 
 @cache
 def _normal_distribution() -> tuple[Array, Array]:
-    """Return a table of Phi, and its differences; linear in between, Phi is right to 1e-5, which a share does not show.
+    """Return a table of Phi, and its differences; linear in between, Phi is right to 2e-7, which a share does not show.
 
-    In the cycles of a small study a table takes a tenth of the time of ``math.erfc``, and importing scipy.special would
-    take as long as thousands of them (Lorenz-96 with 24 members: 0.02 instead of 0.24 ms in a cycle of 1.4 ms).
+    In the cycles of a small study a table takes an eighth of the time of ``math.erfc``, and importing scipy.special
+    would take as long as thousands of them (Lorenz-96 with 24 members: 0.03 instead of 0.24 ms in a cycle of 1.4 ms).
     """
     points = np.arange(-FARTHEST * STEPS, FARTHEST * STEPS + 1.0) / STEPS
     below = np.array([0.5 * math.erfc(-point / math.sqrt(2.0)) for point in points.tolist()])

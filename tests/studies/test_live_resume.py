@@ -40,8 +40,8 @@ def advised(folder):
 def test_real_kills_of_real_processes():
     head, rows = log_of_kills("benchmarks.live_kills", 20)
     assert "journal" in head
-    # On a machine that is far quicker than it was a moment ago a run may be complete before its time has come.
-    assert all("SIGKILL" in row for row in rows if "by the clock" not in row)
+    # By a clock, the wall's or that of the kill, a run on a busy machine may be complete before its moment has come.
+    assert all("SIGKILL" in row for row in rows if "by the clock" not in row and "file, wall" not in row)
 
 
 @pytest.mark.parametrize("cycle", [1, 3, 8])

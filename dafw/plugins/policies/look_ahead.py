@@ -122,12 +122,13 @@ def _costs_around(ways: Ways, places: Array, costs: Array, nodes: Array, loss: f
 
 
 def can_fly(vehicle: Vehicle, steps: Array) -> bool:
-    """Return whether no building is in the way of a step (V, 2) of each vehicle, in metres.
+    """Return whether every vehicle can fly its step of ``steps`` (V, 2), in metres, from where it is.
 
-    One was, for a drone that is not where it was sent: it waited for advice, or the wind has carried it off.
+    A path was free when it was chosen. But in a live run a drone may be elsewhere by now, because it waited for advice
+    or was blown off its way.
     """
     places, airspace = vehicle.positions, vehicle.airspace
-    return airspace is None or all(airspace.is_free(*leg) for leg in zip(places, places + steps, strict=True))
+    return airspace is None or bool(airspace.are_free(places, places + steps).all())
 
 
 def onward(vehicle: Vehicle, steps: Array, left: IntArray) -> Route:
