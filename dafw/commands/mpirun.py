@@ -6,12 +6,10 @@ command loads this module, so it imports nothing heavy.
 
 from __future__ import annotations
 
-import logging
 import math
 import os
 import sys
 import time
-import traceback
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -95,6 +93,9 @@ def run_on_all_ranks(command: Callable[[Any], tuple[int, str]], words: Sequence[
         return _say(2, f"rank {rank} of a launcher that does not give the number of processes: {expected}", rank - 1)
     if words[0] != "run":
         return _say(2, f"'dafw {words[0]}' works in one process: mpirun is for 'dafw run'", rank)
+    import logging  # here: every command loads this module, and these two would be 7 % of `dafw plugins`
+    import traceback
+
     with warnings.catch_warnings(action="ignore", category=RuntimeWarning):  # about another mpirun; reported below
         from mpi4py import MPI
 
