@@ -17,26 +17,29 @@ NO_TIME = 9e36
 """Below what netCDF has for a number that was not written. Coordinates have no missing values in CF."""
 
 
-def open_run(path: str | Path) -> xarray.Dataset:
+def open_run(path: str | Path, *, indexed: bool = True) -> xarray.Dataset:
     """Open a run's folder, or its ``run.nc``, as a lazy Dataset; this works also while the run goes on.
 
-    The Dataset's ``dafw`` computes what is asked for after a run: dafw/core/accessor.
+    The Dataset's ``dafw`` computes what is asked for after a run: dafw/core/accessor. Without ``indexed`` nothing can
+    be selected by its time, only by its row; xarray then need not import pint for the index, which takes 0.2 s.
 
     Raises RunError if there is no run or the file cannot be read.
     """
     import xarray
 
     import dafw.core.accessor  # noqa: F401 - so that the Dataset has ``dafw``
+    from dafw.core.run_store import RunStore
 
     file = Path(path) / "run.nc" if Path(path).is_dir() else Path(path)
     if not file.is_file():
         raise RunError(f"{path}: holds no run (expected a run's folder or its run.nc)")
     try:
         # Keep times and phases as plain numbers of seconds; xarray would convert them to timedelta.
-        found = xarray.open_dataset(file, engine="netcdf4", decode_times=False)
+        store = RunStore.open(file)  # type: ignore[no-untyped-call]  # xarray states no types here
+        found = xarray.open_dataset(store, decode_times=False, create_default_indexes=indexed)
     except (OSError, ValueError) as error:
         raise RunError(f"{file}: cannot be read as netCDF ({' '.join(str(error).split())})") from error
-    if "time" not in found.indexes:
+    if "time" not in found.coords:
         return found
     written = found["time"].values < NO_TIME  # a row that is just being written may not have its time yet
     return found if written.all() else found.isel(time=np.flatnonzero(written))

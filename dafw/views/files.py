@@ -142,7 +142,7 @@ def _left_nothing(path: Path) -> bool:
 def load_run(file: Path) -> Dataset:
     """Read what the pictures need into memory, so that a damaged file is found before anything is drawn."""
     try:
-        with open_run(file) as opened:
+        with open_run(file, indexed=False) as opened:
             # Whole ensembles of fields are large, and no picture shows them.
             large = [name for name, array in opened.variables.items() if {"member", "node"} <= set(array.dims)]
             run = opened.drop_vars(large).load()
@@ -197,5 +197,5 @@ def save(figure: Figure, file: Path, paper: Paper = SCREEN) -> Path:
         fit(figure, paper.width)
     # The names of parts in an SVG are random without a salt.
     with atomic_file(file) as stream, matplotlib.rc_context({"svg.hashsalt": "dafw"}):
-        figure.savefig(stream, **paper.settings())
+        figure.savefig(stream, **paper.settings(figure))
     return file

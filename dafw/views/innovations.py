@@ -43,7 +43,7 @@ def plot_innovations(runs: Mapping[str, Dataset]) -> Figure:
     for axes, level in ((upper, 1.0), (lower, 0.0)):
         axes.axhline(level, color=FREE_COLOUR, linestyle="--", linewidth=1.2, zorder=1, gid="honest")
         time_axis(axes, longest["time"].values, time_units(longest) if axes is lower else "")
-    if max(float(run["innovation_rms"].max()) for run in read.values()) > 10.0:
+    if max(float(np.nanmax(run["innovation_rms"].values)) for run in read.values()) > 10.0:
         upper.set_yscale("log")
         lower.set_yscale("symlog", linthresh=1.0)
     else:

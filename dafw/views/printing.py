@@ -25,6 +25,8 @@ LEAST = 5.5
 """Points of the smallest text in a narrow picture."""
 PRINT_RESOLUTION = 300
 """Dots per inch of what is made of dots in a picture with a stated width."""
+PACKED = 3
+"""How hard a PNG is compressed: 0 to 9. It is a seventh larger than with 6, and compressed twice as fast."""
 FIXED: dict[str, dict[str, Any]] = {"pdf": {"CreationDate": None}, "svg": {"Date": None}, "png": {}}
 """Without a date, so that the same run gives the same bytes."""
 
@@ -44,11 +46,16 @@ class Paper:
                 f"plot: expected a width between {NARROWEST:g} and {WIDEST:g} mm, got {self.width:g}"
             )
 
-    def settings(self) -> dict[str, Any]:
-        """Return the arguments of ``savefig``: with a stated width nothing is cut off at the edges."""
-        edges = {"bbox_inches": "tight", "pad_inches": 0.08} if self.width is None else {}
+    def settings(self, figure: Figure) -> dict[str, Any]:
+        """Return the arguments of ``savefig``.
+
+        Only maps leave empty edges, which are cut off unless a width is stated: the figure is drawn twice for that.
+        """
+        maps = any(axes.get_aspect() != "auto" for axes in figure.axes)
+        edges = {"bbox_inches": "tight", "pad_inches": 0.08} if self.width is None and maps else {}
         dots = RESOLUTION if self.width is None else PRINT_RESOLUTION
-        return {"format": self.format, "dpi": dots, "metadata": FIXED[self.format], **edges}
+        smaller = {"pil_kwargs": {"compress_level": PACKED}} if self.format == "png" else {}
+        return {"format": self.format, "dpi": dots, "metadata": FIXED[self.format], **edges, **smaller}
 
 
 SCREEN = Paper()

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
+import xarray
 from absent import without_truth
 from matplotlib.figure import Figure
 from matplotlib.image import imread
@@ -217,3 +218,24 @@ def test_an_interrupted_save_keeps_the_former_picture(tmp_path, monkeypatch):
 def test_no_interactive_matplotlib_is_loaded():
     code = "import sys, dafw.views; sys.exit('matplotlib.pyplot' in sys.modules or 'xarray' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_drawing_a_run_loads_neither_dask_nor_pint(plant_folder, tmp_path):
+    # With them the pictures of a run would take a third longer.
+    code = (
+        "import pathlib, sys\nfrom dafw.views import draw_runs\n"
+        f"draw_runs([pathlib.Path({str(plant_folder)!r})], pathlib.Path({str(tmp_path)!r}))\n"
+        "sys.exit(bool({'dask.array', 'pint'} & sys.modules.keys()))"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_a_run_is_opened_as_xarray_opens_it(plant_folder):
+    file = plant_folder / "run.nc"
+    with dafw.open_run(file) as ours, xarray.open_dataset(file, decode_times=False) as theirs:
+        xarray.testing.assert_identical(ours, theirs)
+        assert [*ours.variables] == [*theirs.variables]
+        assert ours["obstacle_name"].dtype == theirs["obstacle_name"].dtype
+    with dafw.open_run(file, indexed=False) as ours:
+        assert not ours.indexes
+        assert ours["time"].size > 0
