@@ -71,6 +71,15 @@ def test_a_cycle_ends_with_a_reading_of_a_later_one_whatever_the_order(tmp_path)
         given.take()
 
 
+def test_means_keep_their_span(tmp_path):
+    given = Feeding(tmp_path)
+    given.write(line(1.0), line(1.0, span=0.5, x=12), line(2.0), '{"end": true}')
+    (first,) = given.take().observations
+    assert first.operator.spans.tolist() == [0.0, 0.5]
+    (second,) = given.take().observations
+    assert second.operator.spans is None
+
+
 def test_a_cycle_ends_with_the_word_that_all_was_sent_and_a_late_reading_keeps_its_time(tmp_path):
     given = Feeding(tmp_path)
     given.write('{"until": 1}', line(0.5), '{"until": 2}')

@@ -27,6 +27,11 @@ def test_a_reading_has_what_it_says():
     assert read(text) == Message(5.0, 0.25, 0.1, "ppm", "3", "metres", (1.5, 2.0))
 
 
+def test_a_value_may_be_a_mean():
+    assert read('{"time": 5, "value": 1, "span": "2.5"}').span == 2.5
+    assert read('{"time": 5, "value": 1}').span == read('{"time": 5, "value": 1, "span": null}').span == 0.0
+
+
 def test_keys_are_found_in_any_case_and_under_other_names():
     assert read('{"TIME": 5, "Longitude": 8, "LAT": 50, "value": 1}').place == (8.0, 50.0)
     names = names_of(ColumnOptions(value="CO2"))
@@ -74,6 +79,7 @@ def test_a_message_without_a_value_says_where_a_sensor_is():
         ('{"time": 1, "value": 1, "lat": 95, "lon": 8}', "impossible"),
         ('{"time": 1, "value": 1, "sd": 0}', "impossible"),
         ('{"time": 1, "value": 1, "entry": 1.5}', "impossible"),
+        ('{"time": 1, "value": 1, "span": -1}', "impossible"),
         ('{"time": 1, "value": 1, "sensor": "a\\u0000"}', "wrong_text"),
         ('{"time": 1, "value": 1, "unit": {"a": 1}}', "wrong_text"),
     ],
@@ -127,7 +133,7 @@ def test_of_a_line_of_ten_megabytes_nothing_is_kept():
 
 def test_what_a_feed_remembers_survives_a_file():
     state = FeedState(entries=3, zero=1.5e9, seconds=0.1, vehicles={1: (1.0, 2.0, 3.0)}, units={"a": "ppm"})
-    state.waiting.append(Reading(9.0, 0.1 + 0.2, None, "", "a", "metres", (1.0, 2.0)))
+    state.waiting.append(Reading(9.0, 0.1 + 0.2, None, "", "a", "metres", (1.0, 2.0), 2.5))
     for digest in range(RECENT + 5):
         state.remember(digest + 2**63)
     again = FeedState.of(state.memory())

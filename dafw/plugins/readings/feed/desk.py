@@ -111,7 +111,8 @@ class Desk:
             time = at - state.zero
         else:
             raise UnusableError("incomplete", "it has no time")
-        reading = Reading(time, message.value, message.sd, message.unit, message.sensor, message.kind, message.place)
+        said = (message.value, message.sd, message.unit, message.sensor, message.kind, message.place, message.span)
+        reading = Reading(time, *said)
         if reading.value is None:
             if rules.vehicle(reading.sensor) is None:
                 return  # where a sensor is that is on no vehicle: nobody asks

@@ -24,7 +24,7 @@ NAME = 60
 """Characters that the name of a sensor and a unit may have."""
 MISSING = ("", "nan", "na", "n/a", "null", "none", "-", "--")
 """Texts that stand for a missing number."""
-NUMBERS = ("value", "sd", "x", "y", "lon", "lat", "entry")
+NUMBERS = ("value", "sd", "span", "x", "y", "lon", "lat", "entry")
 TEXTS = ("unit", "sensor")
 
 
@@ -42,7 +42,8 @@ class Message:
 
     ``value`` is None in a message that only says where a sensor is. ``place`` has the numbers of the columns that
     ``kind``, a key of PLACES, names; both are empty if there is no place. ``time`` is a number of seconds or a date,
-    None if the message has none. ``until``: all readings up to that time have been sent. ``end``: the feed has ended.
+    None if the message has none. ``until``: all readings up to that time have been sent. ``end``: the feed has ended. ``span``:
+    seconds until the time over which the value is a mean, 0 if it is none.
     """
 
     time: float | datetime | None = None
@@ -54,6 +55,7 @@ class Message:
     place: tuple[float, ...] = ()
     until: float | datetime | None = None
     end: bool = False
+    span: float = 0.0
 
 
 def names_of(columns: ColumnOptions) -> dict[str, str]:
@@ -90,10 +92,13 @@ def read_message(text: str, names: Mapping[str, str], time_format: str | None = 
         raise UnusableError("incomplete", f"it has no value: {shown(text)}")
     if (sd := numbers.get("sd")) is not None and sd <= 0.0:
         raise UnusableError("impossible", f"expected a standard deviation above 0, got {sd:g}")
+    if (span := numbers.get("span") or 0.0) < 0.0:
+        raise UnusableError("impossible", f"expected a span of at least 0, got {span:g}")
     kind, place = _place(numbers)
     if "value" not in cells and (kind not in ("metres", "degrees") or not texts.get("sensor")):
         raise UnusableError("incomplete", f"it has no value: {shown(text)}")
-    return Message(time, numbers.get("value"), sd, texts.get("unit", ""), texts.get("sensor", ""), kind, place)
+    unit, sensor = texts.get("unit", ""), texts.get("sensor", "")
+    return Message(time, numbers.get("value"), sd, unit, sensor, kind, place, span=span)
 
 
 def _time(cell: Any, time_format: str | None) -> float | datetime | None:

@@ -17,7 +17,10 @@ RECENT = 20000
 
 @dataclass
 class Reading:
-    """A reading whose time in the study is known. ``value`` is None where only a sensor's place is told."""
+    """A reading whose time in the study is known. ``value`` is None where only a sensor's place is told.
+
+    It may be a mean over the ``span`` seconds until its time.
+    """
 
     time: float
     value: float | None
@@ -26,6 +29,7 @@ class Reading:
     sensor: str
     kind: str
     place: tuple[float, ...]
+    span: float = 0.0
 
     @property
     def key(self) -> tuple[Any, ...]:

@@ -76,7 +76,7 @@ class _Errors(Mapping[str, ErrorOptions]):
 
 
 def _operator(at: Placed, table: Table, rows: IntArray, variances: Array, limits: Array) -> Interpolation:
-    names = tuple(table.text("sensor")[rows])
+    names, spans = tuple(table.text("sensor")[rows]), table.number("span")
     return Interpolation(
         indices=at.indices[rows],
         weights=at.weights[rows],
@@ -84,6 +84,7 @@ def _operator(at: Placed, table: Table, rows: IntArray, variances: Array, limits
         coordinates=None if at.coordinates is None else at.coordinates[rows],
         sensors=names if any(names) else None,
         limits=None if np.isnan(limits).all() else limits,
+        spans=spans[rows] if spans.any() else None,
     )
 
 
@@ -105,6 +106,7 @@ def _tables(
             "time": np.array([one.time for one in rows]),
             "value": np.array([one.value for one in rows], dtype=np.float64),
             "sd": np.array([np.nan if one.sd is None else one.sd for one in rows]),
+            "span": np.array([one.span for one in rows]),
         }
         if kind:
             columns = np.array([one.place for one in rows]).T
