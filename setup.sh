@@ -109,8 +109,8 @@ install_browser() { # for the tests of the page that `dafw report` writes
 }
 
 install_broker() { # for the tests of live runs through MQTT; Debian keeps it where only root's PATH leads
-    if command -v mosquitto >/dev/null || [ -x /usr/sbin/mosquitto ]; then return; fi
-    (install_system_packages mosquitto) || say "no broker: the tests of MQTT are skipped"
+    if { command -v mosquitto || [ -x /usr/sbin/mosquitto ]; } && command -v openssl; then return; fi >/dev/null
+    (install_system_packages "mosquitto openssl") || say "no broker: the tests of MQTT are skipped"
 }
 
 case ${1:-} in -h | --help) sed -n '2,/^set/{/^#/s/^# \{0,1\}//p;}' "$0" && exit ;; esac

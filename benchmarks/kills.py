@@ -23,7 +23,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import netCDF4  # first: see dafw/core/run_file.py
+import netCDF4
 import numpy as np
 
 import dafw

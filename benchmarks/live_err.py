@@ -20,7 +20,6 @@ from collections.abc import Callable, Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
-import netCDF4  # noqa: F401 - first: see dafw/core/run_file.py
 import numpy as np
 
 import dafw

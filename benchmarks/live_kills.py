@@ -23,7 +23,6 @@ from contextlib import ExitStack, contextmanager, redirect_stderr
 from pathlib import Path
 from typing import Any
 
-import netCDF4  # noqa: F401 - first: see dafw/core/run_file.py
 import numpy as np
 from paho.mqtt.client import Client
 

@@ -17,8 +17,6 @@ from contextlib import redirect_stderr
 from pathlib import Path
 from typing import BinaryIO
 
-import netCDF4  # noqa: F401 - first: see dafw/core/run_file.py
-
 from dafw import Study
 from dafw.core.runs import summary_of
 from dafw.plugins.filters.etkf import ETKF

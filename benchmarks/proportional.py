@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 
@@ -38,11 +39,8 @@ def wind_calls() -> Iterator[list[float]]:
         finally:
             seconds.append(time.perf_counter() - begun)
 
-    WindSolver.solve = timed  # type: ignore[method-assign]
-    try:
+    with patch.object(WindSolver, "solve", timed):
         yield seconds
-    finally:
-        WindSolver.solve = solve  # type: ignore[method-assign]
 
 
 def run(overrides: list[str], cycles: int) -> dict[str, float]:

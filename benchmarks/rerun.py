@@ -39,7 +39,7 @@ def over_stepping(overrides: Sequence[str], lengths: Sequence[int], n_members: i
             for solver in ("iterative", "direct")
         )
         several = old.model.steps_with_memory
-        old.model.steps_with_memory = lambda *given: several(*given[:-1], 1)  # type: ignore[method-assign]
+        old.model.steps_with_memory = lambda *given: several(*given[:-1], 1)
         reading = Selection(indices=np.array([0, 1]), covariance=np.ones(2))
         reruns = [Rerun(parts.model, parts.executor, STREAMS) for parts in (old, new)]
 

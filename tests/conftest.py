@@ -12,8 +12,9 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add what tests/plugins/test_combinations.py asks for."""
+    """Add what tests/plugins/test_combinations.py and tests/test_benchmarks.py ask for."""
     parser.addoption("--all-combinations", action="store_true", help="run every combination of parts that can be run")
+    parser.addoption("--downloads", action="store_true", help="run the benchmarks that download other programs")
 
 
 @pytest.fixture(scope="session")

@@ -42,23 +42,13 @@ def test_an_unknown_name_is_a_wrong_request():
     assert "there is no benchmark 'l96.nothing' (there are: " in done.stderr
 
 
-@pytest.mark.skip(
-    reason="downloads pyESMDA into an environment of its own; run: python -m benchmarks esmda.difference_from_pyesmda"
+@pytest.mark.parametrize(
+    "names",
+    [["esmda.difference_from_pyesmda"], ["netcdf.complaints", "netcdf.uxarray"], ["l96.etkf_over_dapper"]],
+    ids=["pyESMDA", "checkers and uxarray", "DAPPER"],
 )
-def test_esmda_is_compared_with_pyesmda():
-    assert command("esmda.difference_from_pyesmda", "--short").returncode == 0
-
-
-@pytest.mark.skip(
-    reason="downloads two checkers and uxarray into environments of their own; "
-    "run: python -m benchmarks netcdf.complaints netcdf.uxarray"
-)
-def test_others_read_the_files_of_runs():
-    assert command("netcdf.complaints", "netcdf.uxarray", "--short").returncode == 0
-
-
-@pytest.mark.skip(
-    reason="downloads DAPPER into an environment of its own; run: python -m benchmarks l96.etkf_over_dapper"
-)
-def test_dapper_is_timed_on_the_same_setting():
-    assert command("l96.etkf_over_dapper", "--short").returncode == 0
+def test_those_that_ask_other_programs(names, request):
+    if not request.config.getoption("downloads"):
+        pytest.skip("downloads programs into environments of their own: pytest --downloads")
+    done = command(*names, "--short")
+    assert done.returncode == 0, done.stderr

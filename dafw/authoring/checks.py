@@ -14,7 +14,7 @@ from inspect import unwrap
 from time import perf_counter
 from typing import Any
 
-from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
+from threadpoolctl import threadpool_limits
 
 from dafw.core.errors import ComputationError
 from dafw.core.hookspecs import PluginSpec

@@ -56,12 +56,12 @@ def _model() -> Model:
     return model
 
 
-def _batch(model: Model, n_members: int, cycle: int = 0, **changes: object) -> Batch:
+def _batch(model: Model, n_members: int, cycle: int = 0, **changes: Any) -> Batch:
     """Return a batch of members in the middle of a run, when their memory is no longer the initial one."""
     members = model.first_guess(n_members, Streams(cycle).members("initial", 0)).ensemble.members
     memory = {"error": 0.1 + members[:, ::-1]}
     batch = Batch(members, memory, float(cycle), Streams(7).members("error", cycle))
-    return replace(batch, **changes)  # type: ignore[arg-type]
+    return replace(batch, **changes)
 
 
 @contextmanager
@@ -138,7 +138,7 @@ def errors(factory: Factory) -> None:
 @check("executor")
 def close(factory: Factory) -> None:
     """Closing ends everything, even batches whose results were not fetched; it may be called twice, and before the start."""  # noqa: E501
-    import psutil  # type: ignore[import-untyped]
+    import psutil
 
     this = psutil.Process()
     before = set(this.children(recursive=True))
@@ -159,7 +159,9 @@ def close(factory: Factory) -> None:
 
 def _is_pythons_own(process: Any) -> bool:
     """Return whether it is a helper process that Python keeps for the life of this process."""
+    import psutil
+
     try:
         return "multiprocessing.resource_tracker" in " ".join(process.cmdline())
-    except Exception:  # it is gone already
+    except psutil.NoSuchProcess:  # it is gone already
         return False

@@ -146,13 +146,12 @@ def study_of(problem: Problem, *later: Problem, still: bool = False) -> SmallStu
     With a single problem it has ``CYCLES`` cycles, in which the readings change a little. The members at the start are
     those of the first problem's forecast; ``still``: they do not move, so the first forecast is that of the problem.
     """
+    problems = [problem, *later]
     if not later:
-        problem, *later = [replace(problem, values=problem.values + 0.1 * cycle) for cycle in range(CYCLES)]  # type: ignore[assignment]
+        problems = [replace(problem, values=problem.values + 0.1 * cycle) for cycle in range(CYCLES)]
     space = problem.forecast.space
     model = Mover(space, problem.forecast.members, None if still else growth(space.size))
-    arrivals = [
-        (Observation(each.values, each.operator, cycle + model.dt),) for cycle, each in enumerate((problem, *later))
-    ]
+    arrivals = [(Observation(each.values, each.operator, cycle + model.dt),) for cycle, each in enumerate(problems)]
     return SmallStudy(model, tuple(arrivals))
 
 

@@ -32,19 +32,20 @@ def check_command(words: Sequence[str]) -> int:
 
 def _check(spec: PluginSpec) -> int:
     """Print the checks of one plugin; return how many need a fix."""
-    from dafw.authoring.checks import PASSED, factory_of
+    from dafw.authoring.checks import PASSED, factory_of, made
     from dafw.authoring.kit import run_checks
 
     label = f"{spec.kind} '{spec.name}'"
     try:
-        outcomes = run_checks(spec.kind, factory_of(spec))
-        wrong = 0
-        for outcome in outcomes:
-            detail = "" if outcome.status == PASSED else outcome.detail
-            print(f"{label:<28} {outcome.check.name:<20} {outcome.status:<17} {detail}".rstrip(), flush=True)
-            wrong += not outcome.ok
-    except Exception as error:  # the plugin cannot be made
+        factory = factory_of(spec)
+        made(spec.kind, factory)
+    except Exception as error:  # whatever its author's code raises
         message = str(error) if isinstance(error, DafwError) else f"{type(error).__name__}: {error}"
         print(f"{label:<28} cannot be made: {' '.join(message.split())}")
         return 1
+    wrong = 0
+    for outcome in run_checks(spec.kind, factory):
+        detail = "" if outcome.status == PASSED else outcome.detail
+        print(f"{label:<28} {outcome.check.name:<20} {outcome.status:<17} {detail}".rstrip(), flush=True)
+        wrong += not outcome.ok
     return wrong

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from typing import NoReturn
 
 from dafw.core.errors import ConfigurationError
 
@@ -10,6 +11,6 @@ from dafw.core.errors import ConfigurationError
 class Parser(argparse.ArgumentParser):
     """Raises ConfigurationError if argparse would print its usage and exit."""
 
-    def error(self, message: str) -> None:  # type: ignore[override]
+    def error(self, message: str) -> NoReturn:
         """Raise ConfigurationError with a one-line message."""
         raise ConfigurationError(f"{self.prog.removeprefix('dafw ')}: {message}")

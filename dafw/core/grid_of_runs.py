@@ -85,7 +85,7 @@ def _joined(name: str, having: Mapping[Place, Variable], grid: Mapping[str, int]
     if any(variable.dims != first.dims for variable in having.values()):
         raise RunError(f"'{name}' has other dimensions in one run than in another: they do not make one dataset")
     target = tuple(sizes[dim] for dim in dims)
-    once = "time" not in dims and all(first.equals(one) for one in having.values())  # type: ignore[no-untyped-call]
+    once = "time" not in dims and all(first.equals(one) for one in having.values())
     complete = once or len(having) == prod(grid.values())
     dtype = np.result_type(*(variable.dtype for variable in having.values()))
     if dtype.kind in "iub" and not (complete and all(variable.shape == target for variable in having.values())):

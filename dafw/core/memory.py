@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path, PurePosixPath
 
-import psutil  # type: ignore[import-untyped]
+import psutil
 
 from dafw.core.errors import ConfigurationError
 

@@ -125,7 +125,7 @@ def _listen(connection: Connection, messages: SimpleQueue[Any]) -> None:
             messages.put(connection.recv())
     except (EOFError, OSError):
         status = 0
-    except Exception:
+    except Exception:  # whatever unpickling raises; os._exit below would swallow it
         traceback.print_exc()
     finally:
         os._exit(status)

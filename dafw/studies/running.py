@@ -12,7 +12,7 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
+from threadpoolctl import threadpool_limits
 
 from dafw.core.checkpoints.checkpoint_file import FOLDER, Checkpoint
 from dafw.core.checkpoints.fingerprint import described, digest

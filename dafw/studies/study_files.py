@@ -77,7 +77,8 @@ def load_study(name: str, more: Path | None = None, overrides: Sequence[str] = (
 
     Raises ConfigurationError if there is no such file, or for an entry that is not accepted.
     """
-    repository, place = study_hydra(more).config_loader.repository, f"{GROUP}/{name}"  # type: ignore[attr-defined]
+    loader, place = study_hydra(more).config_loader, f"{GROUP}/{name}"
+    repository = loader.repository  # type: ignore[attr-defined]  # it is dafw's own StudyLoader, which has one
     try:
         found = repository.load_config(place) if NAME.fullmatch(name) else None
         if found is None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from dafw.commands import main
+from dafw.commands.check import check_command
 
 
 def test_the_command_prints_a_line_for_each_check(capsys):
@@ -29,3 +30,16 @@ def test_a_wrong_request_is_one_line_and_status_2(words, message, capsys):
     assert main(["check", *words]) == 2
     error = capsys.readouterr().err
     assert message in error and error.count("\n") == 1
+
+
+def test_a_reader_that_leaves_ends_the_command(monkeypatch):
+    written = []
+
+    def leave(text, **options):
+        written.append(text)
+        raise BrokenPipeError
+
+    monkeypatch.setattr("dafw.commands.check.print", leave, raising=False)
+    with pytest.raises(BrokenPipeError):
+        check_command(["stationary", "etkf"])
+    assert len(written) == 1

@@ -70,7 +70,7 @@ def changed(run, name, place, file="run.nc"):
         ([("node_x", (0,), "run.nc"), ("err", (0,), "run.nc")], "different: node_x, node 0"),
         ([("u_exceeded", (1, 0, 2, 5), "forecast.nc")], "forecast.nc: u_exceeded, at issue 4 s, lead 0"),
     ],
-)  # fmt: skip
+)
 def test_the_first_difference_is_named(run, changes, message, capsys):
     for name, place, file in changes:
         changed(run, name, place, file)

@@ -68,7 +68,8 @@ def test_rows_without_a_field_are_no_frames(short_run, tmp_path):
 
 
 def test_an_mp4_can_be_decoded_and_lasts_as_long_as_its_frames(short_run, tmp_path):
-    reader = pytest.importorskip("imageio_ffmpeg", reason="a development dependency that brings ffmpeg")
+    import imageio_ffmpeg as reader
+
     file = animate(short_run, tmp_path / "a.mp4", every=2, rate=4)
     words = [reader.get_ffmpeg_exe(), "-i", str(file), "-f", "image2pipe", "-vcodec", "ppm", "-"]
     done = subprocess.run(words, capture_output=True, check=True)

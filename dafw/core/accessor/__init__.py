@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from dafw.core.accessor.contour_lines import Contour
 
 
-@xarray.register_dataset_accessor("dafw")  # type: ignore[no-untyped-call]
+@xarray.register_dataset_accessor("dafw")
 class RunAccessor:
     """The methods of ``run.dafw``. ``name`` is a state variable, by default the scored one.
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import shutil
 import tempfile
+from importlib.util import find_spec
 from math import prod
 from pathlib import Path
 
@@ -31,10 +32,8 @@ def to_zarr(run: Dataset, path: Path, chunks: str = "maps") -> Path:
         raise RunError(f"chunks must be one of {', '.join(CHUNKS)}, got {chunks!r}")
     if path.exists():
         raise RunError(f"{path}: exists already; nothing was changed")
-    try:
-        import zarr  # noqa: F401 - xarray writes with it
-    except ImportError:
-        raise RunError("to_zarr needs zarr: pip install 'dafw[zarr]'") from None
+    if find_spec("zarr") is None:
+        raise RunError("to_zarr needs zarr: pip install 'dafw[zarr]'")
     sizes = {str(name): _chunk(variable, chunks) for name, variable in run.variables.items() if variable.ndim}
     pieces = run.drop_encoding()
     for name in run.data_vars:

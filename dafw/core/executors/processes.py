@@ -95,9 +95,9 @@ class Processes(Executor):
 
     def _collect(self, order: _Order) -> list[Stepped]:
         while order.error is None and len(order.outcomes) < len(order.batches):
-            owing = {place.worker.connection: place for place in self._pool if place.waiting}
-            for connection in wait(list(owing)):
-                place = owing[connection]  # type: ignore[index]  # wait returns the objects it was given
+            owing = [place for place in self._pool if place.waiting]
+            ready = wait([place.worker.connection for place in owing])
+            for place in [place for place in owing if place.worker.connection in ready]:
                 outcome = place.worker.receive()
                 if outcome is None:
                     self._replace(place)

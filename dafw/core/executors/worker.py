@@ -37,7 +37,7 @@ def _stepped(config: Mapping[str, Any], batch: Batch) -> Stepped:
 
 def built(config: Mapping[str, Any]) -> Model:
     """Return this process's model, which is made on the first call; raises a DafwError."""
-    from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
+    from threadpoolctl import threadpool_limits
 
     from dafw.core.registry import registry
 

@@ -167,12 +167,12 @@ class Live(FeedOptions, Readings):
         return replace(self, source=str(folder / FILE))
 
     @property
-    def follows_wall(self) -> bool:  # type: ignore[override]
+    def follows_wall(self) -> bool:  # type: ignore[override]  # it depends on the options
         """Whether cycles end by the wall's clock."""
         return self.clock == "wall"
 
     @property
-    def reads_standard_input(self) -> bool:  # type: ignore[override]
+    def reads_standard_input(self) -> bool:  # type: ignore[override]  # it depends on the options
         """Whether the messages come from standard input."""
         return self.source in ("-", *STANDARD_INPUT)
 

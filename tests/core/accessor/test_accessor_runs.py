@@ -64,7 +64,8 @@ def test_the_surprises_of_a_cycle_have_the_recorded_mean_and_root_mean_square(fo
 
 
 def test_xugrid_opens_and_draws_every_field_of_a_run(folder):
-    xugrid = pytest.importorskip("xugrid", reason="xugrid is a development dependency")
+    import xugrid
+
     with xarray.open_dataset(folder / "run.nc", decode_times=False) as run:
         fields = [str(name) for name in run.data_vars if run[name].attrs.get("mesh") == "mesh2d"]
         assert {"concentration_mean", "concentration_truth", "concentration_members"} <= set(fields)

@@ -9,10 +9,12 @@ import threading
 import numpy as np
 import pytest
 
-from dafw import ConfigurationError, Domain, Request, StateSpace, Variable
+from dafw import ConfigurationError, Domain, Request, StateSpace, Study, Variable
 from dafw.core.errors import NoMoreReadingsError, ReadingsError
 from dafw.core.geography import to_degrees
 from dafw.core.observation import Selection
+from dafw.plugins.filters.etkf import ETKF
+from dafw.plugins.models.lorenz96 import Lorenz96
 from dafw.plugins.readings.feed import collecting, feed
 from dafw.plugins.readings.live import Live
 
@@ -388,3 +390,8 @@ def test_wrong_options_are_refused_before_anything_is_read(options, said):
         Live.from_options(**options).suit(SPACE, GROUND, 1.0)
     assert caught.value.exit_status == 2
     assert "secret" not in str(caught.value)
+
+
+def test_advice_for_a_broker_needs_one():
+    with pytest.raises(ConfigurationError, match="goes with readings=live"):
+        Study(model=Lorenz96(), truth=Lorenz96(), filter=ETKF(), members=4, cycles=1, advice=["mqtt"])

@@ -15,7 +15,7 @@ import pytest
 
 from benchmarks.broker import MOSQUITTO, broker, free_port
 from dafw import Study
-from dafw.core.errors import ConfigurationError, ReadingsError, RecordError
+from dafw.core.errors import ReadingsError, RecordError
 from dafw.plugins.filters.etkf import ETKF
 from dafw.plugins.models.lorenz96 import Lorenz96
 from dafw.plugins.observers.grid import Grid
@@ -173,7 +173,7 @@ def test_credentials_come_from_a_file_or_the_environment_and_reach_no_file_of_th
 
 
 # paho leaves the socket of a link that TLS refuses to whoever collects it.
-@pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
+@pytest.mark.filterwarnings("ignore:unclosed <ssl.SSLSocket:ResourceWarning")
 def test_the_link_can_be_encrypted_and_a_broker_that_nobody_vouches_for_is_refused(tmp_path):
     if shutil.which("openssl") is None:
         pytest.skip("there is no openssl to make a certificate")
@@ -192,11 +192,6 @@ def test_the_link_can_be_encrypted_and_a_broker_that_nobody_vouches_for_is_refus
     (tmp_path / "no.pem").write_text("no certificate")
     with pytest.raises(ReadingsError, match="no certificate that can be read"):
         Broker(BrokerOptions(port=port, tls=True, ca=str(tmp_path / "no.pem")), "a")
-
-
-def test_advice_for_a_broker_needs_one():
-    with pytest.raises(ConfigurationError, match="goes with readings=live"):
-        Study(model=Lorenz96(), truth=Lorenz96(), filter=ETKF(), members=4, cycles=1, advice=["mqtt"])
 
 
 def test_the_benchmark_of_load_sends_and_counts_every_reading():

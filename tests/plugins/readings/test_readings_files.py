@@ -284,6 +284,12 @@ def test_an_unknown_unit_is_refused_by_name(unit):
         linear(unit, "1")
 
 
+@pytest.mark.parametrize(("unit", "wanted"), [("dBm", "W"), ("W", "dBm"), ("1e308*km", "m")])
+def test_units_that_no_line_leads_from_one_to_the_other_are_refused(unit, wanted):
+    with pytest.raises(ReadingsError, match=r"the unit .* is no linear function of"):
+        linear(unit, wanted)
+
+
 def test_a_unit_that_measures_something_else_is_refused_by_name():
     with pytest.raises(ReadingsError, match="the unit 'kg' cannot be converted into 'ppm'"):
         linear("kg", "ppm")

@@ -123,21 +123,21 @@ def test_entries_and_paths_exclude_each_other(tmp_path):
 def test_a_pattern_without_files_is_refused(tmp_path, pattern, said):
     written(tmp_path, **TWO)
     with pytest.raises(ReadingsError, match=said):
-        Recorded.from_options(file=str(tmp_path / pattern), **OPTIONS).rows  # noqa: B018
+        _ = Recorded.from_options(file=str(tmp_path / pattern), **OPTIONS).rows
 
 
 @pytest.mark.parametrize("line", [1, 3, 99])
 def test_a_line_without_a_date_is_named(tmp_path, line):
     options = OPTIONS | {"date_line": line}
     with pytest.raises(ReadingsError, match=f"line {line}: expected a date as '%m/%d/%Y %H:%M:%S.%f'"):
-        Recorded.from_options(file=written(tmp_path, **TWO), **options).rows  # noqa: B018
+        _ = Recorded.from_options(file=written(tmp_path, **TWO), **options).rows
 
 
 def test_files_with_and_without_dates_do_not_mix(tmp_path):
     (tmp_path / "a1.csv").write_text("time,value\n2020-01-01T00:00:00Z,1\n")
     (tmp_path / "a2.csv").write_text("time,value\n5,1\n")
     with pytest.raises(ReadingsError, match=r"a2\.csv: its times are seconds"):
-        Recorded.from_options(file=str(tmp_path / "a*.csv"), sd=1.0).rows  # noqa: B018
+        _ = Recorded.from_options(file=str(tmp_path / "a*.csv"), sd=1.0).rows
 
 
 def test_a_file_that_names_its_sensors_keeps_them(tmp_path):

@@ -147,7 +147,7 @@ class Leak(Model):
 
     def require_available(self) -> None:
         """Read the wind; raises ReadingsError if it cannot be read."""
-        self.record  # noqa: B018 - reading it is all that is wanted
+        _ = self.record  # reading it is all that is wanted
 
     def notes(self) -> list[str]:
         """Return what the wind record holds, in one sentence."""

@@ -71,7 +71,7 @@ class PuffsTrack(Leak):
     def require_available(self) -> None:
         """Read the wind and the track; raises ReadingsError if one cannot be read."""
         super().require_available()
-        self.flown  # noqa: B018 - reading it is all that is wanted
+        _ = self.flown  # reading it is all that is wanted
 
     def notes(self) -> list[str]:
         """Return what the wind record and the track hold."""

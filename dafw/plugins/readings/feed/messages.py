@@ -42,8 +42,8 @@ class Message:
 
     ``value`` is None in a message that only says where a sensor is. ``place`` has the numbers of the columns that
     ``kind``, a key of PLACES, names; both are empty if there is no place. ``time`` is a number of seconds or a date,
-    None if the message has none. ``until``: all readings up to that time have been sent. ``end``: the feed has ended. ``span``:
-    seconds until the time over which the value is a mean, 0 if it is none.
+    None if the message has none. ``until``: all readings up to that time have been sent. ``end``: the feed has ended.
+    ``span``: seconds until the time over which the value is a mean, 0 if it is none.
     """
 
     time: float | datetime | None = None

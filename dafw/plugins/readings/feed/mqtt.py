@@ -16,6 +16,7 @@ from collections import deque
 from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from time import monotonic, sleep
 from typing import Any
@@ -63,10 +64,8 @@ class BrokerOptions:
 
 def require_broker(options: BrokerOptions, label: str) -> None:
     """Raise ConfigurationError if paho is not installed, or the options cannot be those of a broker."""
-    try:
-        import paho.mqtt.client  # noqa: F401 - only whether it is there
-    except ImportError:
-        raise ConfigurationError(f"{label}: a broker needs paho-mqtt: pip install 'dafw[live]'") from None
+    if find_spec("paho") is None:
+        raise ConfigurationError(f"{label}: a broker needs paho-mqtt: pip install 'dafw[live]'")
     if "@" in options.host or "/" in options.host:
         raise ConfigurationError(
             f"{label}: mqtt.host must be a name or an address alone; user and password come from a file or the "

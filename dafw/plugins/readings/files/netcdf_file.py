@@ -169,7 +169,7 @@ def _dated(cells: list[Any], since: re.Match[str], name: str, variable: str) -> 
         raise about(name, f"expected units 'seconds since' a date in ISO 8601, got '{since[0]}'", column=variable)
     try:
         shift, factor = linear(since[1], "s")
-    except Exception as error:
+    except ReadingsError as error:
         raise about(name, str(error), column=variable) from None
     written = []
     for cell in cells:

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import re
 from functools import cache
+from math import isclose, isfinite
 from typing import Any
+
+import numpy as np
 
 from dafw.core.errors import ReadingsError
 from dafw.plugins.readings.files.table import shown
@@ -64,9 +67,11 @@ def require_unit(text: str) -> None:
 def linear(unit: str, wanted: str) -> tuple[float, float]:
     """Return (a, b) so that a number v in ``unit`` is a + b v in ``wanted``; exactly (0, 1) for the same unit.
 
-    Both may be quantities, such as ``250 mg m-3``. Raises ReadingsError if one is not known or they do not measure the
-    same.
+    Both may be quantities, such as ``250 mg m-3``. Raises ReadingsError if one is not known, they do not measure the
+    same, or a number of one is no linear function of that of the other, as with decibels.
     """
+    import pint
+
     if unit == wanted:
         return 0.0, 1.0
     ours, theirs = _quantity(unit), _quantity(wanted)
@@ -74,10 +79,14 @@ def linear(unit: str, wanted: str) -> tuple[float, float]:
         return 0.0, 1.0
     registry = _registry()
     try:
-        zero, one = (
-            registry.Quantity(number * ours.magnitude, ours.units).to(theirs.units).magnitude / theirs.magnitude
-            for number in (0.0, 1.0)
-        )
-    except Exception:
+        with np.errstate(all="ignore"):  # what is not finite is refused below
+            zero, one, two = (
+                float(registry.Quantity(number * ours.magnitude, ours.units).to(theirs.units).m / theirs.magnitude)
+                for number in (0.0, 1.0, 2.0)
+            )
+    except (pint.PintError, ArithmeticError):
         raise ReadingsError(f"the unit {shown(unit)} cannot be converted into {shown(wanted)}") from None
-    return float(zero), float(one - zero)
+    rounding = 1e-9 * max(abs(zero), abs(one))
+    if not (isfinite(zero) and isfinite(one) and isclose(two - one, one - zero, rel_tol=1e-6, abs_tol=rounding)):
+        raise ReadingsError(f"the unit {shown(unit)} is no linear function of {shown(wanted)}")
+    return zero, one - zero

@@ -9,7 +9,7 @@ from dataclasses import asdict, replace
 from time import perf_counter
 
 import numpy as np
-from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
+from threadpoolctl import threadpool_limits
 
 from dafw.plugins.models.dispersion.cache import cache_folder
 from dafw.plugins.models.dispersion.mesh.tagged import TaggedMesh
