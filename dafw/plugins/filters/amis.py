@@ -34,6 +34,7 @@ from typing import Any
 import numpy as np
 
 from dafw.core.ensemble import Analysis, Diagnostic, Memory
+from dafw.core.errors import ConfigurationError
 from dafw.core.interfaces import Filter
 from dafw.core.options import option
 from dafw.core.space import Array, StateSpace
@@ -71,7 +72,9 @@ class AMIS(Filter):
     past_beliefs = "first"
     inflation_option = None
 
-    estimate: list[str] = option([], "names of the control variables; none: all single numbers of the state")
+    estimate: list[str] = option(
+        [], "names of the control variables; none: all single numbers of the state. All that are unknown must be named"
+    )
     likelihood: Likelihood = option(Likelihood, "how likely a reading is")
     every: int = option(1, "cycles from one analysis to the next", minimum=1)
     steps: int = option(
@@ -108,7 +111,8 @@ class AMIS(Filter):
             if memory is not None and (window.observation.values.size or window.late):
                 memory = {**memory, "unfinished": np.array(True)}
             return Analysis(ensemble.members, memory, weights=ensemble.weights)
-        controls, size = Controls(ensemble.space, self.estimate), len(ensemble)
+        size = len(ensemble)
+        controls = Controls(ensemble.space, self.estimate).left_open(window.first.ensemble.members)
         samples, kernels = self._known(window, controls)
         cost = size * len(window.cycles)
         batches = 0
@@ -162,6 +166,12 @@ class AMIS(Filter):
     def _known(self, window: Window, controls: Controls) -> tuple[Candidates, Kernels]:
         """Return the samples so far, carried to the present, and the proposals so far."""
         if window.memory is None:
+            # Their density alone would be a factor of that of a proposal, and it is not known.
+            if missing := controls.missing(window.rerun, window.first.ensemble.members):
+                raise ConfigurationError(
+                    f"{self.label}: estimate must list all numbers that the first guess leaves open, "
+                    f"{', '.join(missing)} too; got {list(controls.names)}"
+                )
             first = first_candidates(window, controls, self.likelihood)
             return replace(first, log_proposal=first.log_prior + np.log(len(first))), Kernels.none(len(controls))
         samples = Candidates.from_memory(window.memory, controls.space)

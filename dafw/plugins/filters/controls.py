@@ -51,6 +51,17 @@ class Controls:
     def __len__(self) -> int:
         return len(self.entries)
 
+    def left_open(self, first_guess: Array) -> Controls:
+        """Return those of the controls in which the members (N, n) of the first guess differ: the others are known."""
+        differs = [name for name in self.names if np.ptp(first_guess[:, self.space.slice(name)], axis=0).any()]
+        return self if len(differs) in (0, len(self.names)) else Controls(self.space, differs)
+
+    def missing(self, rerun: Rerun, first_guess: Array) -> list[str]:
+        """Return the single numbers in which members (N, n) of the first guess still differ if the controls agree."""
+        agreeing = self.at(rerun, first_guess, np.repeat(self.coordinates(first_guess[:1]), len(first_guess), axis=0))
+        single = [variable.name for variable in self.space.variables if variable.size == 1]
+        return [name for name in single if np.ptp(agreeing[:, self.space.slice(name)]) > 0.0]
+
     def moved(self, rerun: Rerun, start: Array, steps: Array) -> Array:
         """Return members (N, n) at the start whose controls have moved by ``steps`` (N, k), the fields recomputed.
 

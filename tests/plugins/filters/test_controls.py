@@ -89,3 +89,16 @@ def test_the_volume_is_the_derivative_of_the_numbers():
     controls = Controls(SPACE)
     coordinates = controls.coordinates(MEMBERS)
     np.testing.assert_allclose(controls.log_volume(coordinates), np.log(MEMBERS[:, 3] * MEMBERS[:, 5]))
+
+
+def test_what_the_first_guess_knows_is_no_control():
+    first = np.repeat(MEMBERS[:1], 4, axis=0)
+    first[:, 3] = [1.0, 2.0, 3.0, 4.0]
+    open_ones = Controls(SPACE).left_open(first)
+    assert open_ones.names == ("speed",) and open_ones.entries.tolist() == [3]
+    assert Controls(SPACE, ["speed"]).left_open(first).names == ("speed",)
+
+
+def test_unknown_numbers_that_do_not_follow_from_the_controls_are_missing():
+    assert Controls(SPACE, ["speed", "diffusion"]).missing(RERUN, MEMBERS) == ["direction", "place"]
+    assert Controls(SPACE).missing(RERUN, MEMBERS) == []

@@ -304,6 +304,45 @@ def test_samples_that_are_all_equally_bad_are_not_taken_for_good_ones():
     assert diagnosed(first, "runs") == 0.0
 
 
+@dataclass
+class Sum(Model):
+    """The sum of two numbers is seen; the first is N(0, 1) beforehand, the second is known, or N(2, second_sd^2)."""
+
+    second_sd: float = 0.0
+    dt: float = 1.0
+    space: StateSpace = field(
+        default_factory=lambda: StateSpace([Variable("sum", 1), Variable("first", 1), Variable("second", 1)])
+    )
+
+    def initial(self, n_members, rng):
+        drawn = rng.draw(n_members, lambda generator: generator.standard_normal(2))
+        return self.settled(np.column_stack([drawn[:, 0], drawn[:, 0], 2.0 + self.second_sd * drawn[:, 1]]))
+
+    def settled(self, members):
+        return np.column_stack([members[:, 1] + members[:, 2], members[:, 1:]])
+
+    def step(self, members, t, rng):
+        return members
+
+    def log_first_guess(self, members):
+        return -0.5 * members[:, 1] ** 2 - 0.5 * ((members[:, 2] - 2.0) / (self.second_sd or 1.0)) ** 2
+
+
+def test_a_known_number_stays_what_it_is():
+    readings = Listed([{"time": time, "value": 3.5, "entry": 0, "sd": 0.5} for time in range(1, 11)])
+    filter_ = AMIS(estimate=["first", "second"], steps=4000)
+    last = list(Study(model=Sum(), filter=filter_, readings=readings, members=20, cycles=10))[-1].belief
+    assert (last.members[:, 2] == 2.0).all()
+    assert last.mean[1] == pytest.approx(1.5 / (1.0 + 0.025), abs=0.15)
+
+
+def test_an_unknown_number_that_amis_is_not_told_to_estimate_is_refused():
+    readings = Listed([{"time": 1.0, "value": 3.5, "entry": 0, "sd": 0.5}])
+    study = Study(model=Sum(second_sd=1.0), filter=AMIS(estimate=["first"]), readings=readings, members=20, cycles=1)
+    with pytest.raises(ConfigurationError, match=r"AMIS.*: estimate must list .*, second too"):
+        list(study)
+
+
 def test_the_posterior_of_an_early_reading_is_found_in_silent_cycles():
     require_posterior(amis(batches=1), posterior(seen=[0, 1]), members=20, seeds=20, silent=set(range(2, T)))
 
