@@ -18,7 +18,7 @@ from dafw.core.errors import ConfigurationError
 from dafw.core.interfaces import Readings
 from dafw.core.interfaces.readings import Request
 from dafw.core.interpolation import weights_at
-from dafw.core.late import FORGIVEN
+from dafw.core.late import FORGIVEN, arrived
 from dafw.core.observation import Interpolation, Observation
 from dafw.core.options import option
 from dafw.core.space import Array, IntArray, StateSpace
@@ -121,8 +121,8 @@ class Listed(Readings):
 
     def take(self, request: Request, rng: np.random.Generator) -> Sequence[Observation]:
         """Return an observation for each reading that arrived in this cycle; the first cycle includes earlier ones."""
-        opened = -np.inf if request.cycle == 0 else request.start
-        due = [r for r in self.readings if opened < r.get("arrives", r["time"]) <= request.end]
+        arrives = np.array([r.get("arrives", r["time"]) for r in self.readings], dtype=np.float64)
+        due = [self.readings[row] for row in np.flatnonzero(arrived(arrives, request))]
         indices, weights = self._entries(due, request.space, request.domain)
         taken = []
         for row, reading in enumerate(due):
@@ -133,5 +133,6 @@ class Listed(Readings):
                 coordinates=np.array([[reading["x"], reading["y"]]]) if "x" in reading else None,
                 spans=np.array([float(reading["span"])]) if reading.get("span") else None,
             )
-            taken.append(Observation(np.array([reading["value"]]), operator, float(reading["time"])))
+            time = min(float(reading["time"]), request.end)  # it may be later by rounding
+            taken.append(Observation(np.array([reading["value"]]), operator, time))
         return taken

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from dafw import ConfigurationError, Domain, Request, Selection, StateSpace, Variable
+from dafw import ConfigurationError, Domain, Model, Request, Selection, StateSpace, Study, Variable
+from dafw.plugins.filters.etkf import ETKF
 from dafw.plugins.readings.listed import Listed
 
 CORNERS = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0]])
@@ -41,6 +42,31 @@ def test_readings_are_given_when_they_become_known():
     first, second = listed.take(request(), None), listed.take(request(1, 1.0, 2.0), None)
     assert [one.time for one in first] == [-1.0, 0.0, 0.4, 1.0]
     assert [one.time for one in second] == [1.2, 0.3]
+
+
+class Still(Model):
+    """One number that stays as it is."""
+
+    space = StateSpace([Variable("level", 1)])
+
+    def __init__(self, dt):
+        self.dt = dt
+
+    def initial(self, n_members, rng):
+        return np.stack([rng[number].normal(5.0, 2.0, 1) for number in range(n_members)])
+
+    def step(self, members, t, rng):
+        return members.copy()
+
+
+@pytest.mark.parametrize("dt", [0.05, 0.1, 0.3])
+def test_a_reading_at_the_end_of_a_cycle_is_used_in_it_however_times_are_rounded(dt):
+    listed = Listed([{"time": round((n + 1) * dt, 10), "value": float(n), "entry": 0, "sd": 1.0} for n in range(200)])
+    assert listed.cycles_covered(dt) == 200
+    study = Study(model=Still(dt), filter=ETKF(), readings=listed, members=3, cycles=200, seed=1)
+    cycles = list(study)
+    assert [cycle.observation.values.tolist() for cycle in cycles] == [[n] for n in range(200)]
+    assert all(sum(one.readings.counts.values()) == one.readings.counts["on_time"] == 1 for one in cycles)
 
 
 @pytest.mark.parametrize(
