@@ -228,6 +228,16 @@ def test_every_sensor_is_averaged_over_its_own_time(tmp_path):
     assert found["c"] == [(n, n, 0.5) for n in range(1, 7)]
 
 
+def test_a_mean_is_known_when_the_last_of_its_readings_has_arrived(tmp_path):
+    text = "time,x,y,value,sensor,arrives\n1,0,0,1,a,9\n2,0,0,1,a,\n3,0,0,1,a,\n3.5,0,0,1,a,3.7\n3.6,0,0,1,b,\n"
+    source = recorded(tmp_path, text, sensors={"a": {"averaging": 2.0}})
+    given = [sorted(one.time for one in got.observations) for got in collected(source, cycles=9)]
+    assert given == [[], [], [], [3.6, 4.0], [], [], [], [], [2.0]] and source.cycles_covered(1.0) == 9
+    again = "time,x,y,value,sensor,arrives\n1,0,0,1,a,\n1,0,0,3,a,4\n2,0,0,1,a,\n2,0,0,1,a,2\n3,0,0,1,a,\n"
+    given = [[one.time for one in got.observations] for got in collected(recorded(tmp_path, again, repeated="mean"))]
+    assert given == [[], [2.0], [3.0], [1.0], []]
+
+
 def test_means_have_their_span_whether_averaged_here_or_by_the_instrument(tmp_path):
     text = "time,x,y,value,sensor,span\n1,0,0,1,a,\n2,0,0,3,a,\n2,0,0,5,b,60\n3,0,0,7,b,0\n"
     found = collected(recorded(tmp_path, text, sensors={"a": {"averaging": 2.0}}))

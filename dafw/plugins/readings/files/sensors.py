@@ -80,7 +80,8 @@ def with_errors(table: Table, sensors: Mapping[str, ErrorOptions]) -> Table:
 def without_repeats(table: Table, repeated: str) -> tuple[Table, int]:
     """Return the table, sorted by time, with one reading of a sensor at a time, and how many there were beside it.
 
-    ``repeated`` says what becomes of the others: ``keep`` them all, keep the ``first``, or take the ``mean`` of them.
+    ``repeated`` says what becomes of the others: ``keep`` them all, keep the ``first``, or take the ``mean`` of them,
+    which is known when the last of them has arrived.
     """
     groups: dict[tuple[str, float], list[int]] = {}
     for row, key in enumerate(zip(table.text("sensor"), table.number("time").tolist(), strict=True)):
@@ -92,20 +93,24 @@ def without_repeats(table: Table, repeated: str) -> tuple[Table, int]:
     kept = table.chosen(firsts)
     if repeated == "first":
         return kept, more
-    means = {role: column.copy() for role, column in kept.numbers.items() if role not in ("entry", "arrives", "time")}
+    means = {role: column.copy() for role, column in kept.numbers.items() if role not in ("entry", "time")}
+    known = _known(table)
     for place, rows in enumerate(groups.values()):
         if len(rows) > 1:
             for role, column in means.items():
                 part = table.numbers[role][rows]
                 column[place] = np.sqrt(np.sum(part**2)) / len(rows) if role == "sd" else part.mean()
+            if "arrives" in means:
+                means["arrives"][place] = known[rows].max()
     return kept.changed(**means), more
 
 
 def averaged(table: Table, sensors: Mapping[str, SensorOptions]) -> Table:
     """Return the table, sorted by time, with means over spans of the sensor's ``averaging`` seconds from t = 0.
 
-    A mean has the time of its span's end, when it is known. The errors of single readings are taken to be independent.
-    Places, where there are any, are averaged too. Readings of sensors without ``averaging`` stay as they are.
+    A mean has the time of its span's end. It is known then, or later when the last of its readings has arrived. The
+    errors of single readings are taken to be independent. Places, where there are any, are averaged too. Readings of
+    sensors without ``averaging`` stay as they are.
     """
     span = _of_rows(table, lambda name: sensors[name].averaging or np.nan)
     spanned = ~np.isnan(span)
@@ -122,9 +127,12 @@ def averaged(table: Table, sensors: Mapping[str, SensorOptions]) -> Table:
             means[role] = np.sqrt(np.bincount(group.ravel(), column**2)) / count
         elif role != "entry":
             means[role] = np.bincount(group.ravel(), column) / count
-    ends = {role: number[first] * span[first] for role in ("time", "arrives") if role in means}
+    means["time"] = number[first] * span[first]
+    if "arrives" in means:
+        means["arrives"] = means["time"].copy()
+        np.fmax.at(means["arrives"], group.ravel(), _known(table))
     kept, alone = table.chosen(first), ~spanned[first]
-    columns = {role: np.where(alone, kept.number(role), column) for role, column in (means | ends).items()}
+    columns = {role: np.where(alone, kept.number(role), column) for role, column in means.items()}
     averages = kept.changed(**columns)
     averages = averages.changed(span=np.where(alone, kept.number("span"), span[first]))
     return averages.chosen(np.argsort(averages.number("time"), kind="stable"))
@@ -170,6 +178,11 @@ def censored(table: Table, sensors: Mapping[str, ErrorOptions]) -> tuple[Table, 
     value[below], variance = below_limit(limit[below], sd[below] ** 2)
     sd[below] = np.sqrt(variance)
     return table.changed(value=value, sd=sd, below=below.astype(np.float64)), int(below.sum())
+
+
+def _known(table: Table) -> Array:
+    """Return when every row is known (R,), in s: when it arrives; where that is not told, at its time."""
+    return np.fmax(table.number("time"), table.number("arrives"))
 
 
 def _of_rows(table: Table, of: Callable[[str], float]) -> Array:
