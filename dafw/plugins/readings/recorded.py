@@ -193,7 +193,7 @@ class Recorded(SensorOptions, FileOptions, Readings):
             return found
         usable = self.usable
         variable = space.variables[0] if self.variable is None else space[self.variable]
-        values, sd = converted(usable.table, self.reference or variable.units)
+        values, sd, limits = converted(usable.table, self.reference or variable.units)
         if self.paths:
             at = placed_on_paths(
                 usable.table, space, self.variable, ends_of(self.paths, "readings 'recorded'"), self.label
@@ -208,9 +208,8 @@ class Recorded(SensorOptions, FileOptions, Readings):
         at = Placed(at.indices[free], at.weights[free], coordinates, nowhere, nowhere)
         late = table.number("arrives")
         arrives = np.where(np.isnan(late), table.number("time"), late)
-        limits = np.where(table.number("below") == 1.0, 2.0 * values[free], np.nan)  # the value is half the limit
         spans = np.nan_to_num(table.number("span"))
-        fitted = Fitted(table, values[free], sd[free] ** 2, limits, spans, at, arrives, counts, variable.units)
+        fitted = Fitted(table, values[free], sd[free] ** 2, limits[free], spans, at, arrives, counts, variable.units)
         self.__dict__["_kept"] = (space, domain, fitted)
         return fitted
 

@@ -33,7 +33,8 @@ def line(time, value=1.0, **more):
 class Feeding:
     """A source that reads a file, and the cycles that it was asked for."""
 
-    def __init__(self, folder, *, own=False, **options):
+    def __init__(self, folder, *, own=False, space=SPACE, **options):
+        self.space = space
         self.path, self.folder = folder / "feed.jsonl", folder if own else None
         self.options = {"source": str(self.path), **options}
         self.source = self.anew()
@@ -42,7 +43,7 @@ class Feeding:
     def anew(self):
         """Return the source as a new process would make it."""
         source = Live.from_options(**self.options)
-        source.suit(SPACE, GROUND, 1.0)
+        source.suit(self.space, GROUND, 1.0)
         if self.folder is not None:
             source.begin(self.folder, lambda: False)
         return source
@@ -53,7 +54,7 @@ class Feeding:
 
     def take(self):
         nothing = Selection(indices=np.empty(0, dtype=np.int64), covariance=np.empty(0))
-        request = Request(self.cycle, float(self.cycle), self.cycle + 1.0, SPACE, GROUND, nothing)
+        request = Request(self.cycle, float(self.cycle), self.cycle + 1.0, self.space, GROUND, nothing)
         got = self.source.collect(request, self.memory, np.random.default_rng(0))
         self.memory, self.cycle = got.memory, self.cycle + 1
         return got
@@ -115,6 +116,16 @@ def test_units_backgrounds_and_detection_limits_are_those_of_files(tmp_path):
     assert one.values == pytest.approx([10.0, 2.5, 3.0])
     assert one.variance == pytest.approx([0.25, 0.25 + 25.0 / 12.0, 500.0**2])
     assert one.operator.limits[1] == 5.0 and one.operator.sensors == ("a", "a", "b")
+
+
+def test_a_limit_in_another_scale_of_temperature_is_converted_as_values_are(tmp_path):
+    space = StateSpace([Variable("temperature", 4, units="K", coordinates=NODES)])
+    given = Feeding(tmp_path, space=space, detection_limit=5.0)
+    given.write(line(1, 2, unit="degC"), line(1, 30, unit="degC"), '{"until": 1}')
+    (one,) = given.take().observations
+    assert one.values == pytest.approx([275.65, 303.15])
+    assert one.variance == pytest.approx([0.25 + 25.0 / 12.0, 0.25])
+    assert one.operator.limits == pytest.approx([278.15, np.nan], nan_ok=True)
 
 
 def test_a_vehicle_is_where_it_says_not_where_it_was_sent_nor_in_a_wall(tmp_path):

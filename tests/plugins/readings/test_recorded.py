@@ -353,6 +353,16 @@ def test_the_limits_of_sensors_are_told_in_the_units_of_the_variable(tmp_path):
     np.testing.assert_allclose(first.values, [0.06, 0.1], rtol=1e-12)
 
 
+def test_a_limit_in_another_scale_of_temperature_is_converted_as_values_are(tmp_path):
+    """What is below 5 degC lies between 0 and 5 degC, for a variable in kelvin."""
+    text = "time,x,y,value,unit\n1,0,0,2,degC\n2,0,0,30,degC\n3,0,0,280,K\n"
+    asked = {"reference": "K", "sensors": {"": {"detection_limit": 5.0}}}
+    found = [one for got in collected(recorded(tmp_path, text, **asked)) for one in got.observations]
+    np.testing.assert_allclose([one.values[0] for one in found], [275.65, 303.15, 280.0], rtol=1e-12)
+    np.testing.assert_allclose([one.operator.limits[0] for one in found], [278.15, np.nan, np.nan], rtol=1e-12)
+    np.testing.assert_allclose([one.variance[0] for one in found], [0.25 + 25.0 / 12.0, 0.25, 0.25], rtol=1e-9)
+
+
 def test_readings_at_the_same_time_are_kept_or_the_first_or_their_mean(tmp_path):
     text = "time,x,y,value,sensor\n1,0,0,1,a\n1,2,0,3,a\n1,0,0,9,b\n2,0,0,5,a\n"
     for choice, expected in (("keep", [1, 3, 9, 5]), ("first", [1, 9, 5]), ("mean", [2, 9, 5])):

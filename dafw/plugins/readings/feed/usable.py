@@ -42,14 +42,13 @@ def observations_of(
     ):
         table, _ = censored(with_errors(table, _Errors(rules)), _Errors(rules))
         named = space.variables[0] if variable is None else space[variable]
-        values, sd = converted(table, rules.wanted)
+        values, sd, limits = converted(table, rules.wanted)
         if paths is not None:
             at = placed_on_paths(table, space, variable, dict(paths), "readings 'live'")
         else:
             at = placed(table, kind or None, space, domain, named.name, origin)
         counts["outside"] += int(at.outside.sum())
         counts["in_building"] += int(at.in_building.sum())
-        limits = np.where(table.number("below") == 1.0, 2.0 * values, np.nan)  # the value is half the limit
         times = np.minimum(table.number("time"), end)
         free = ~(at.outside | at.in_building)
         for time in np.unique(times[free]).tolist():

@@ -114,12 +114,13 @@ def with_unit(table: Table, unit: str | None) -> Table:
     return table
 
 
-def converted(table: Table, wanted: str) -> tuple[Array, Array]:
-    """Return values and standard deviations (R,) in the unit ``wanted``, which may be a quantity.
+def converted(table: Table, wanted: str) -> tuple[Array, Array, Array]:
+    """Return values, standard deviations and detection limits (R,) in the unit ``wanted``, which may be a quantity.
 
-    Values without a unit are taken to be in it already. Raises ReadingsError for a unit that measures something else.
+    The limits are those of readings below them, NaN for all others. Values without a unit are taken to be in it
+    already. Raises ReadingsError for a unit that measures something else.
     """
-    value, sd = table.number("value").copy(), table.number("sd").copy()
+    value, sd, limit = (table.number(role).copy() for role in ("value", "sd", "limit"))
     for one in dict.fromkeys(table.text("unit")):
         rows = table.text("unit") == one
         try:
@@ -128,4 +129,5 @@ def converted(table: Table, wanted: str) -> tuple[Array, Array]:
             raise table.error(str(error), int(np.argmax(rows)), "value") from None
         if (shift, factor) != (0.0, 1.0):
             value[rows], sd[rows] = shift + factor * value[rows], abs(factor) * sd[rows]
-    return value, sd
+            limit[rows] = shift + factor * limit[rows]
+    return value, sd, limit

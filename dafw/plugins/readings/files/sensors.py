@@ -168,7 +168,7 @@ def undone_response(table: Table, sensors: Mapping[str, SensorOptions]) -> tuple
 def censored(table: Table, sensors: Mapping[str, ErrorOptions]) -> tuple[Table, int]:
     """Return the table with readings below the detection limit replaced, and how many these are.
 
-    They are marked by 1 in a column ``below``, which is 0 for all others.
+    Their limits are in a column ``limit``, in the unit of the file, which is NaN for all others.
     """
     limit = _of_rows(table, lambda name: sensors[name].detection_limit or -np.inf)
     below = table.number("value") < limit
@@ -177,7 +177,7 @@ def censored(table: Table, sensors: Mapping[str, ErrorOptions]) -> tuple[Table, 
     value, sd = table.number("value").copy(), table.number("sd").copy()
     value[below], variance = below_limit(limit[below], sd[below] ** 2)
     sd[below] = np.sqrt(variance)
-    return table.changed(value=value, sd=sd, below=below.astype(np.float64)), int(below.sum())
+    return table.changed(value=value, sd=sd, limit=np.where(below, limit, np.nan)), int(below.sum())
 
 
 def _known(table: Table) -> Array:
