@@ -44,7 +44,8 @@ class Judged:
     background  (P, S, n) of every sensor after the last reading
     gain        (P, S, n) of every sensor after the last reading
     on          (P, S) probability that the source is on
-    expected    (P, S, n) what every sensor was expected to read in the last cycle, before it did
+    expected    (P, S, n) what every sensor was expected to read in the last cycle, before it did; the mean of several
+                readings, NaN for a sensor that did not read
     sensors     (n,) their names
     """
 
@@ -134,13 +135,16 @@ def _sequence(
     n_candidates, n_sizes = predicted.shape[0], sizes.shape[0]
     fit = np.zeros((n_candidates, n_sizes))
     background, gain = np.zeros((n_candidates, n_sizes, n_sensors)), np.zeros((n_candidates, n_sizes, n_sensors))
-    expected = np.full((n_candidates, n_sizes, n_sensors), np.nan)
+    expected = np.zeros((n_candidates, n_sizes, n_sensors))
     on = np.zeros((n_candidates, n_sizes))
     half_log = 0.5 * np.log(2.0 * np.pi)
     # For both values of o and each sensor: background, gain, their variances and covariance.
     b, g, bb, gg, bg = np.empty((5, 2, n_sensors))
     mixed_b, mixed_g, mixed_bb, mixed_gg, mixed_bg = np.empty((5, 2, n_sensors))
     chance, before, density = np.empty(2), np.empty(2), np.empty(2)
+    count = np.zeros(n_sensors)  # of the readings of each sensor in the last cycle
+    for m in range(begins[spans.size - 1], begins[spans.size]):
+        count[sensor[m]] += 1.0
     for p in range(n_candidates):
         for size in range(n_sizes):
             absolute, relative = sizes[size, 0] ** 2, sizes[size, 1] ** 2
@@ -187,8 +191,7 @@ def _sequence(
                             error *= max(1.0, (degrees + z) / (degrees + 1.0))
                             scale = bb[o, i] + of_gain + error
                         if cycle == spans.size - 1:
-                            seen = before[o] * (mixed_b[o, i] + mixed_g[o, i] * h)
-                            expected[p, size, i] = seen if o == 0 else expected[p, size, i] + seen
+                            expected[p, size, i] += before[o] * (mixed_b[o, i] + mixed_g[o, i] * h)
                         with_g = bg[o, i] + h * gg[o, i]
                         to_b, to_g = (bb[o, i] + h * bg[o, i]) / scale, with_g / scale
                         b[o, i] += to_b * missed
@@ -207,4 +210,5 @@ def _sequence(
             for i in range(n_sensors):
                 background[p, size, i] = chance[0] * b[0, i] + chance[1] * b[1, i]
                 gain[p, size, i] = chance[0] * g[0, i] + chance[1] * g[1, i]
+                expected[p, size, i] = expected[p, size, i] / count[i] if count[i] > 0.0 else np.nan
     return fit, background, gain, on, expected

@@ -127,6 +127,16 @@ def test_expected_readings_are_those_before_the_last_ones_came():
     )
 
 
+def test_a_sensor_that_reads_several_times_in_a_cycle_is_expected_to_read_their_mean():
+    several = cycles(np.array([9.0, 2.0, 3.0, 5.0, 1.0]), [("a", "b"), ("a", "b", "a")], [1.0, 2.0])
+    predicted = np.array([[0.1, 0.2, 0.3, 0.4, 0.8], [1.0, 2.0, 3.0, 4.0, 7.0]])
+    # The background is known. In a second the source changes with the chance 1/2, so that on and off stay as likely.
+    found = judged(several, predicted, SIZES[:1], 1.9, 1e-9, 0.0, 1.0 / np.log(2.0), np.inf, 1.0)
+    np.testing.assert_allclose(found.expected[:, 0], 1.9 + 0.5 * np.array([[0.55, 0.4], [5.0, 4.0]]), rtol=1e-9)
+    always = judged(several, predicted, SIZES[:1], 1.9, 1e-9, 0.0, np.inf, np.inf, 1.0)
+    np.testing.assert_allclose(always.expected[:, 0], 1.9 + np.array([[0.55, 0.4], [5.0, 4.0]]), rtol=1e-9)
+
+
 def test_an_outlier_hardly_moves_a_background():
     values = np.array([2.0, 2.0, 2.0, 40.0, 2.0])
     quiet = cycles(values, [("a",)] * 5)
