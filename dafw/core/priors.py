@@ -13,7 +13,8 @@ name           parameters                                      density
 ``angle``      mean, sd (radians)                              Gaussian, wrapped to [0, 2 pi)
 =============  ==============================================  =================================================
 
-Densities are those of the number itself; they need not be normalised across parameters that are fixed.
+Densities are those of the number itself; they need not be normalised across parameters that are fixed. Every prior of
+an angle is wrapped to [0, 2 pi), whatever its name (``AnglePrior``).
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from typing import Any
 import numpy as np
 
 from dafw.core.errors import ConfigurationError
-from dafw.core.space import TWO_PI, Array
+from dafw.core.space import ANGLE, FIELD, TWO_PI, Array, Kind
 
 PARAMETERS = {
     "point": ("mean",),
@@ -39,6 +40,10 @@ PARAMETERS = {
 OPTIONAL = {"weibull": ("high",)}
 WRAPS = np.arange(-3, 4)
 """Number of turns on each side that are summed for the density of a wrapped normal distribution."""
+FAR, RARE = 9.0, 40.0
+"""Beyond ``FAR`` standard deviations, or where the chance of a larger number is exp(-``RARE``), nothing is drawn."""
+MOST_TURNS = 10_000
+"""Turns over which the density of a prior of an angle may be summed: for a thousand members, 80 MB."""
 
 
 @dataclass(frozen=True)
@@ -69,16 +74,38 @@ class Prior:
             raise ConfigurationError(f"prior '{self.name}': mean must be above 0, got {self['mean']}")
 
     @classmethod
-    def of(cls, config: Mapping[str, Any], what: str) -> Prior:
-        """Make a prior from a mapping with its ``name`` and parameters; error messages call it ``what``."""
+    def of(cls, config: Mapping[str, Any], what: str, kind: Kind = FIELD) -> Prior:
+        """Make the prior of a number of a ``kind`` from a mapping with its ``name`` and parameters.
+
+        Error messages call it ``what``. Raises ConfigurationError for what is not a prior of such a number.
+        """
         options = dict(config)
+        of_kind = AnglePrior if kind is ANGLE else cls
         try:
-            return cls(str(options.pop("name", "")), options)
+            return of_kind(str(options.pop("name", "")), options)
         except ConfigurationError as error:
             raise ConfigurationError(f"{what}: {error}") from error
 
     def __getitem__(self, key: str) -> float:
         return float(self.parameters[key])
+
+    @property
+    def reach(self) -> tuple[float, float]:
+        """The least and the largest number that can be expected ever to be drawn."""
+        match self.name:
+            case "point":
+                return self["mean"], self["mean"]
+            case "normal":
+                return self["mean"] - FAR * self["sd"], self["mean"] + FAR * self["sd"]
+            case "uniform":
+                return self["low"], self["high"]
+            case "lognormal":
+                return 0.0, float(self["mean"] * np.exp(FAR * self["sd"]))
+            case "weibull":
+                shape, scale = self._weibull
+                return 0.0, float(min(scale * RARE ** (1.0 / shape), self.parameters.get("high", np.inf)))
+            case _:
+                return 0.0, TWO_PI
 
     @cached_property
     def _weibull(self) -> tuple[float, float]:
@@ -107,8 +134,7 @@ class Prior:
                     return float(scale * generator.weibull(shape))
                 return float(scale * (-np.log1p(-self._share_below * generator.random())) ** (1.0 / shape))
             case _:
-                reduced = float(np.mod(self["mean"] + self["sd"] * generator.standard_normal(), TWO_PI))
-                return 0.0 if reduced >= TWO_PI else reduced
+                return _reduced(self["mean"] + self["sd"] * float(generator.standard_normal()))
 
     def log_density(self, x: Array) -> Array:
         """Return the log density at each of ``x`` (...): minus infinity where the density is zero, 0 for a point."""
@@ -134,6 +160,46 @@ class Prior:
             case _:
                 turned = x[..., np.newaxis] + TWO_PI * WRAPS
                 return np.asarray(np.logaddexp.reduce(_log_normal(turned, self["mean"], self["sd"]), axis=-1))
+
+
+@dataclass(frozen=True)
+class AnglePrior(Prior):
+    """The distribution of an angle: a number is drawn as ever, and what is left of it after whole turns is the angle.
+
+    Raises ConfigurationError for other names, and for a distribution that is wider than ``MOST_TURNS`` turns.
+    """
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        low, high = self.reach
+        if not high - low < MOST_TURNS * TWO_PI:
+            raise ConfigurationError(
+                f"prior '{self.name}' of an angle goes {(high - low) / TWO_PI:.3g} times around, expected less than "
+                f"{MOST_TURNS} times; a uniform one from 0 to {TWO_PI} says that nothing is known"
+            )
+
+    @cached_property
+    def _turns(self) -> Array:
+        """The turns (k,), in radians, that make all that can be drawn out of the angles in [0, 2 pi)."""
+        low, high = self.reach
+        return np.arange(np.floor(low / TWO_PI), np.floor(high / TWO_PI) + 1.0) * TWO_PI
+
+    def draw(self, generator: np.random.Generator) -> float:
+        """Return one angle in [0, 2 pi)."""
+        return _reduced(super().draw(generator))
+
+    def log_density(self, x: Array) -> Array:
+        """Return the log density at each of the angles ``x`` (...) in radians, which are the same after whole turns."""
+        if self.name in ("point", "angle"):  # the one has no density, the other is wrapped by itself
+            return super().log_density(x)
+        turned = np.mod(np.asarray(x, dtype=np.float64), TWO_PI)[..., np.newaxis] + self._turns
+        return np.asarray(np.logaddexp.reduce(super().log_density(turned), axis=-1))
+
+
+def _reduced(angle: float) -> float:
+    """Return an angle less whole turns, in [0, 2 pi)."""
+    reduced = float(np.mod(angle, TWO_PI))
+    return 0.0 if reduced >= TWO_PI else reduced  # where it is just below zero, the remainder is rounded up
 
 
 def _log_normal(x: Array, mean: float, sd: float) -> Array:

@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 from scipy.integrate import quad
 
-from dafw import ConfigurationError
+from dafw import ANGLE, ConfigurationError
 from dafw.core.priors import Prior, weibull_parameters
 
 PRIORS = [
@@ -73,3 +73,50 @@ def test_what_cannot_be_has_no_density():
 def test_a_wrong_prior_is_refused(config, message):
     with pytest.raises(ConfigurationError, match=message):
         Prior.of(config, "diffusion")
+
+
+# Angles --------------------------------------------------------------------------------------------------------------
+
+ANGLES = [
+    {"name": "uniform", "low": -1.0, "high": 1.0},
+    {"name": "uniform", "low": 6.0, "high": 9.0},
+    {"name": "uniform", "low": -4.0, "high": 11.0},
+    {"name": "normal", "mean": 0.1, "sd": 0.5},
+    {"name": "normal", "mean": -40.0, "sd": 3.0},
+    {"name": "lognormal", "mean": 6.0, "sd": 0.4},
+    {"name": "weibull", "mean": 5.0, "sd": 3.0},
+    {"name": "angle", "mean": 0.1, "sd": 0.7},
+]
+
+
+@pytest.mark.parametrize("config", ANGLES, ids=lambda config: "-".join(str(value) for value in config.values()))
+def test_the_prior_of_an_angle_has_its_draws_and_its_density_within_one_turn(config):
+    prior, rng = Prior.of(config, "direction", ANGLE), np.random.default_rng(3)
+    draws = np.array([prior.draw(rng) for _ in range(4000)])
+    assert draws.min() >= 0.0 and draws.max() < 2.0 * np.pi
+    assert np.isfinite(prior.log_density(draws)).all()
+    grid = (np.arange(100_000) + 0.5) / 100_000 * 2.0 * np.pi
+    cumulative = np.cumsum(np.exp(prior.log_density(grid))) * (grid[1] - grid[0])
+    assert cumulative[-1] == pytest.approx(1.0, abs=1e-4)
+    eighths = np.linspace(0.0, 1.0, 9)[1:-1]
+    expected = np.interp(np.quantile(draws, eighths), grid, cumulative)
+    # Kolmogorov's bound at one in a million, as above
+    assert np.abs(expected - eighths).max() < np.sqrt(np.log(2e6) / (2 * 4000)) + 2e-3
+
+
+def test_the_density_of_an_angle_is_the_same_after_a_turn():
+    prior = Prior.of({"name": "uniform", "low": -1.0, "high": 1.0}, "direction", ANGLE)
+    angles = np.array([[-0.5, 0.5], [2.0, 6.0]])
+    np.testing.assert_allclose(np.exp(prior.log_density(angles)), [[0.5, 0.5], [0.0, 0.5]])
+    np.testing.assert_allclose(prior.log_density(angles + 2.0 * np.pi), prior.log_density(angles))
+
+
+def test_an_angle_that_is_known_is_drawn_within_one_turn():
+    prior = Prior.of({"name": "point", "mean": -1.0}, "direction", ANGLE)
+    assert prior.draw(np.random.default_rng(0)) == pytest.approx(2.0 * np.pi - 1.0)
+    assert prior.log_density(np.array([1.0])).tolist() == [0.0]
+
+
+def test_an_angle_that_goes_around_countless_times_is_refused():
+    with pytest.raises(ConfigurationError, match=r"direction: prior 'normal' of an angle goes 2\.86e\+06 times around"):
+        Prior.of({"name": "normal", "mean": 0.0, "sd": 1e6}, "direction", ANGLE)

@@ -134,5 +134,6 @@ def unknowns(guess: Guess, own: Mapping[str, Possible]) -> list[Unknown]:
         raise ConfigurationError(f"priors: '{wrong[0]}' is not estimated (estimated: {', '.join(names)})")
     if guess.certain:
         return [replace(one, prior=about("point", one.value, 0.0)) for one in found]
-    priors = {name: Prior.of(prior, f"priors: {name}") for name, prior in guess.priors.items()}
+    kinds = {one.name: one.kind for one in found}
+    priors = {name: Prior.of(prior, f"priors: {name}", kinds[name]) for name, prior in guess.priors.items()}
     return [replace(one, prior=priors.get(one.name, one.prior)) for one in found]

@@ -122,7 +122,10 @@ class Leak(Model):
         }
         known = {name: {"name": "point", "mean": float(value)} for name, value in self.truth.items()}
         chosen = usual | dict(self.priors) | known
-        self._priors = {name: Prior.of(chosen[name], f"{self.named}: priors: {name}") for name in self.unknown}
+        self._priors = {
+            name: Prior.of(chosen[name], f"{self.named}: priors: {name}", kind)
+            for name, (kind, _) in self.unknown.items()
+        }
 
     def unknown_variables(self) -> list[Variable]:
         """Return the unknown numbers as variables of the state."""

@@ -81,6 +81,21 @@ def test_a_prior_replaces_the_usual_one():
 
 
 @pytest.mark.parametrize(
+    "prior", [{"name": "uniform", "low": -1.0, "high": 1.0}, {"name": "normal", "mean": 0.0, "sd": 0.5}]
+)
+def test_a_direction_on_either_side_of_east_is_as_likely_after_a_turn(prior):
+    made = model(priors={"wind_direction": prior})
+    drawn = guess(made, 200)
+    direction = drawn.members[:, made.space.slice("wind_direction")]
+    assert direction.min() >= 0.0 and 50 < (direction > np.pi).sum() < 150
+    turned = np.array(drawn.members)
+    turned[:, made.space.slice("wind_direction")] -= 2.0 * np.pi
+    density = made.log_first_guess(drawn.members)
+    assert np.isfinite(density).all()
+    np.testing.assert_allclose(made.log_first_guess(turned), density)
+
+
+@pytest.mark.parametrize(
     ("options", "message"),
     [
         ({"estimate": ["weather"]}, "estimate: 'weather' cannot be estimated .accepted: diffusion, release_x"),
