@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 
 from dafw.core.errors import ConfigurationError
-from dafw.core.space import ANGLE, FIELD, TWO_PI, Array, Kind
+from dafw.core.space import ANGLE, FIELD, NONNEGATIVE, POSITIVE, TWO_PI, Array, Kind
 
 PARAMETERS = {
     "point": ("mean",),
@@ -42,6 +42,8 @@ WRAPS = np.arange(-3, 4)
 """Number of turns on each side that are summed for the density of a wrapped normal distribution."""
 FAR, RARE = 9.0, 40.0
 """Beyond ``FAR`` standard deviations, or where the chance of a larger number is exp(-``RARE``), nothing is drawn."""
+SMALLEST_SHARE = 2.0**-54
+"""What is taken for a uniform draw of 0: half of the least other one."""
 MOST_TURNS = 10_000
 """Turns over which the density of a prior of an angle may be summed: for a thousand members, 80 MB."""
 
@@ -77,12 +79,15 @@ class Prior:
     def of(cls, config: Mapping[str, Any], what: str, kind: Kind = FIELD) -> Prior:
         """Make the prior of a number of a ``kind`` from a mapping with its ``name`` and parameters.
 
-        Error messages call it ``what``. Raises ConfigurationError for what is not a prior of such a number.
+        Error messages call it ``what``. Raises ConfigurationError for what is not a prior of such a number: that of
+        a positive one draws only numbers above 0, that of a nonnegative one none below.
         """
         options = dict(config)
         of_kind = AnglePrior if kind is ANGLE else cls
         try:
-            return of_kind(str(options.pop("name", "")), options)
+            prior = of_kind(str(options.pop("name", "")), options)
+            prior._require_kind(kind)
+            return prior
         except ConfigurationError as error:
             raise ConfigurationError(f"{what}: {error}") from error
 
@@ -107,6 +112,23 @@ class Prior:
             case _:
                 return 0.0, TWO_PI
 
+    @property
+    def lowest(self) -> float:
+        """The lower end of what can be drawn: minus infinity if there is none. Only a point is itself drawn."""
+        return -np.inf if self.name == "normal" else self.reach[0]
+
+    def _require_kind(self, kind: Kind) -> None:
+        """Raise ConfigurationError if a number can be drawn that variables of a ``kind`` cannot have."""
+        allowed = {POSITIVE: "above 0", NONNEGATIVE: "of at least 0"}
+        is_zero = kind is POSITIVE and self.name == "point" and self.lowest == 0.0
+        if kind in allowed and (self.lowest < 0.0 or is_zero):
+            given = ", ".join(f"{key} {value:g}" for key, value in self.parameters.items())
+            raise ConfigurationError(
+                f"prior '{self.name}' with {given} is not one of a {kind.value} number: it goes down to "
+                f"{self.lowest:g}, expected numbers {allowed[kind]}, such as those of 'lognormal' or 'weibull', or of "
+                f"'uniform' with low of at least 0"
+            )
+
     @cached_property
     def _weibull(self) -> tuple[float, float]:
         return weibull_parameters(self["mean"], self["sd"])
@@ -125,14 +147,14 @@ class Prior:
             case "normal":
                 return self["mean"] + self["sd"] * float(generator.standard_normal())
             case "uniform":
-                return self["low"] + (self["high"] - self["low"]) * float(generator.random())
+                return self["low"] + (self["high"] - self["low"]) * _share(generator)
             case "lognormal":
                 return self["mean"] * float(np.exp(self["sd"] * generator.standard_normal()))
             case "weibull":
                 shape, scale = self._weibull
                 if "high" not in self.parameters:
                     return float(scale * generator.weibull(shape))
-                return float(scale * (-np.log1p(-self._share_below * generator.random())) ** (1.0 / shape))
+                return float(scale * (-np.log1p(-self._share_below * _share(generator))) ** (1.0 / shape))
             case _:
                 return _reduced(self["mean"] + self["sd"] * float(generator.standard_normal()))
 
@@ -194,6 +216,11 @@ class AnglePrior(Prior):
             return super().log_density(x)
         turned = np.mod(np.asarray(x, dtype=np.float64), TWO_PI)[..., np.newaxis] + self._turns
         return np.asarray(np.logaddexp.reduce(super().log_density(turned), axis=-1))
+
+
+def _share(generator: np.random.Generator) -> float:
+    """Return a uniform draw between 0 and 1, but never 0, which a positive number cannot be."""
+    return float(generator.random()) or SMALLEST_SHARE
 
 
 def _reduced(angle: float) -> float:

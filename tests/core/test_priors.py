@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 from scipy.integrate import quad
 
-from dafw import ANGLE, ConfigurationError
+from dafw import ANGLE, FIELD, NONNEGATIVE, POSITIVE, ConfigurationError
 from dafw.core.priors import Prior, weibull_parameters
 
 PRIORS = [
@@ -73,6 +73,54 @@ def test_what_cannot_be_has_no_density():
 def test_a_wrong_prior_is_refused(config, message):
     with pytest.raises(ConfigurationError, match=message):
         Prior.of(config, "diffusion")
+
+
+# Kinds ---------------------------------------------------------------------------------------------------------------
+
+BELOW = [
+    ({"name": "normal", "mean": 9.0, "sd": 0.1}, "-inf"),
+    ({"name": "uniform", "low": -0.5, "high": 1.0}, "-0.5"),
+    ({"name": "point", "mean": -2.0}, "-2"),
+]
+ABOVE = [
+    {"name": "uniform", "low": 0.0, "high": 1.0},
+    {"name": "lognormal", "mean": 1.0, "sd": 2.0},
+    {"name": "weibull", "mean": 1.0, "sd": 2.0},
+    {"name": "weibull", "mean": 1.0, "sd": 2.0, "high": 3.0},
+    {"name": "point", "mean": 0.1},
+]
+
+
+@pytest.mark.parametrize(("kind", "expected"), [(POSITIVE, "above 0"), (NONNEGATIVE, "of at least 0")])
+@pytest.mark.parametrize(("config", "lowest"), BELOW, ids=lambda part: part["name"] if isinstance(part, dict) else "")
+def test_a_prior_that_goes_below_zero_is_none_of_a_number_that_does_not(config, lowest, kind, expected):
+    message = f"amount: prior '{config['name']}' with .* of a {kind.value} number: it goes down to {lowest}, "
+    with pytest.raises(ConfigurationError, match=f"{message}expected numbers {expected}"):
+        Prior.of(config, "amount", kind)
+    assert Prior.of(config, "place", FIELD).name == config["name"]
+
+
+def test_a_number_that_is_known_to_be_zero_is_not_positive():
+    zero = {"name": "point", "mean": 0.0}
+    assert Prior.of(zero, "speed", NONNEGATIVE).lowest == 0.0
+    with pytest.raises(ConfigurationError, match="rate: prior 'point' with mean 0 is not one of a positive number"):
+        Prior.of(zero, "rate", POSITIVE)
+
+
+class Least:
+    """A generator of the least numbers that there are."""
+
+    def random(self):
+        return 0.0
+
+
+@pytest.mark.parametrize("config", ABOVE, ids=lambda config: "-".join(str(value) for value in config.values()))
+def test_what_the_prior_of_a_positive_number_draws_is_positive_and_possible(config):
+    prior = Prior.of(config, "rate", POSITIVE)
+    drawn = [prior.draw(np.random.default_rng(seed)) for seed in range(100)]
+    if "high" in config:  # made from a uniform draw
+        drawn.append(prior.draw(Least()))
+    assert min(drawn) > 0.0 and np.isfinite(prior.log_density(np.array(drawn))).all()
 
 
 # Angles --------------------------------------------------------------------------------------------------------------

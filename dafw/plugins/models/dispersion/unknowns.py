@@ -98,7 +98,7 @@ def _require_known(guess: Guess, accepted: Sequence[str]) -> None:
 def unknowns(guess: Guess, own: Mapping[str, Possible]) -> list[Unknown]:
     """Return the numbers of the state in their order; ``own`` are those that only this model can estimate.
 
-    Raises ConfigurationError for names and priors there are not.
+    Raises ConfigurationError for names and priors there are not, and for priors of other kinds of numbers.
     """
     mean, sd = guess.wind_speed, guess.wind_speed_sd
     if sd > 0.0 and not 1e-3 * mean <= sd <= 1e3 * mean:

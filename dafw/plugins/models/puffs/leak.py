@@ -56,8 +56,6 @@ PRIORS: Mapping[str, Mapping[str, Any]] = {
 }
 GAS_CONSTANT = 8.314462618
 """J mol^-1 K^-1."""
-SMALLEST = 1e-6
-"""Least value of a number that must be positive: a uniform prior may begin at 0."""
 SHORTEST, LENGTHENING = 0.25, 0.06
 """Interval of ages of a fresh puff in s, and by how much intervals grow in a second of age."""
 
@@ -123,7 +121,7 @@ class Leak(Model):
         known = {name: {"name": "point", "mean": float(value)} for name, value in self.truth.items()}
         chosen = usual | dict(self.priors) | known
         self._priors = {
-            name: Prior.of(chosen[name], f"{self.named}: priors: {name}", kind)
+            name: Prior.of(chosen[name], f"{self.named}: {'truth' if name in known else 'priors'}: {name}", kind)
             for name, (kind, _) in self.unknown.items()
         }
 
@@ -176,8 +174,7 @@ class Leak(Model):
         streams = (rng[member] for member in range(n_members))
         drawn = [[prior.draw(stream) for prior in self._priors.values()] for stream in streams]
         numbers = np.array(drawn).reshape(n_members, len(self.unknown))
-        floor = [SMALLEST if kind is POSITIVE else -np.inf for kind, _ in self.unknown.values()]
-        return np.hstack([np.zeros((n_members, self.space.size - len(self.unknown))), np.maximum(numbers, floor)])
+        return np.hstack([np.zeros((n_members, self.space.size - len(self.unknown))), numbers])
 
     def log_first_guess(self, members: Array) -> Array:
         """Return the log density (N,) of the priors."""

@@ -103,6 +103,14 @@ def test_a_direction_on_either_side_of_east_is_as_likely_after_a_turn(prior):
         ({"estimate": ["diffusion"], "transport": {"scheme": "supg"}}, "'supg' is made for one diffusion"),
         ({"priors": {"amount": {"name": "point", "mean": 1.0}}}, "priors: 'amount' is not estimated"),
         ({"priors": {"wind_speed": {"name": "gauss"}}}, "priors: wind_speed: there is no prior 'gauss'"),
+        (
+            {"estimate": ["amount"], "priors": {"amount": {"name": "normal", "mean": 1.0, "sd": 1.0}}},
+            "model 'AdvectionDiffusion': priors: amount: prior 'normal' with mean 1, sd 1 is not one of a positive",
+        ),
+        (
+            {"priors": {"wind_speed": {"name": "uniform", "low": -1.0, "high": 3.0}}},
+            "priors: wind_speed: prior 'uniform' .* is not one of a nonnegative number: it goes down to -1",
+        ),
     ],
 )
 def test_what_cannot_be_estimated_is_refused(options, message):

@@ -7,6 +7,7 @@ import pytest
 from scipy.stats import norm
 
 from dafw.core.errors import ConfigurationError, ReadingsError
+from dafw.core.rng import Streams
 from dafw.plugins.models.puffs.model_track import PuffsTrack
 from dafw.plugins.models.puffs.path_means import ages_to
 from dafw.plugins.models.puffs.point_levels import point_levels
@@ -85,6 +86,29 @@ def test_the_gas_is_in_proportion_to_the_rate():
     stepped = model.step(np.stack([one, two]), 0.0, None)
     np.testing.assert_allclose(stepped[1, :2], 2.0 * stepped[0, :2])
     assert stepped[0, 0] > 0.0
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (
+            {"priors": {"spread": {"name": "normal", "mean": 0.3, "sd": 0.2}}},
+            "model 'puffs.*': priors: spread: prior 'normal' with mean 0.3, sd 0.2 is not one of a positive number",
+        ),
+        ({"truth": {"rate": 0.0}}, "truth: rate: prior 'point' with mean 0 is not one of a positive number"),
+    ],
+)
+def test_a_number_that_must_be_positive_is_not_drawn_from_a_prior_that_goes_below_zero(options, said):
+    with pytest.raises(ConfigurationError, match=said):
+        hovering(**{"truth": {}, **options})
+
+
+def test_what_the_usual_priors_draw_is_possible():
+    model = hovering(truth={}, priors={"rate": {"name": "uniform", "low": 0.0, "high": 1e-6}})
+    members = model.first_guess(200, Streams(1).members("initial", 0)).ensemble.members
+    rate = members[:, model.space.slice("rate")]
+    assert rate.min() > 0.0 and len(np.unique(rate)) == 200
+    assert np.isfinite(model.log_first_guess(members)).all()
 
 
 def test_a_track_is_read_from_a_log(tmp_path):
