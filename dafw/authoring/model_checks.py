@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dafw.authoring.checks import Factory, check, require
+from dafw.authoring.checks import Factory, NotApplicable, check, require
 from dafw.authoring.evidence import (
     frozen,
     global_generators,
@@ -143,6 +143,16 @@ def first_guess_in_set(factory: Factory) -> None:
     model = factory()
     members = model.first_guess(20, _streams("initial")).ensemble.members
     require_in_set(model.space, members, "a first guess")
+
+
+@check("model")
+def first_guess_possible(factory: Factory) -> None:
+    """A model that tells how likely first guesses are calls none of its own impossible: filters divide by that density."""  # noqa: E501
+    model = factory()
+    if type(model).log_first_guess is Model.log_first_guess:
+        raise NotApplicable("it does not tell how likely its first guesses are")
+    members = model.first_guess(20, _streams("initial")).ensemble.members
+    model.checked_log_density(members, drawn=True)
 
 
 @check("model")

@@ -162,12 +162,13 @@ class Rerun:
         """Return draws from the first guess; every pair of a ``role`` and a ``number`` has streams of its own."""
         return self._model.first_guess(n_members, self._streams.members(f"rerun {role}", number)).ensemble
 
-    def log_first_guess(self, members: Array) -> Array:
+    def log_first_guess(self, members: Array, *, drawn: bool = False) -> Array:
         """Return the log density (N,) of the first guess at members (N, n) at the start (``Model.log_first_guess``).
 
-        Raises ConfigurationError if the model does not know it.
+        Raises ConfigurationError if the model does not know it, and ContractError if it calls members impossible that
+        it has ``drawn`` itself.
         """
-        return self._model.checked_log_density(members)
+        return self._model.checked_log_density(members, drawn=drawn)
 
     def _replay(self, ensemble: Ensemble, first: int, last: int, stepped: Stepped, means: Means, keep: bool) -> Replay:
         """Check and wrap the executor's result."""

@@ -127,13 +127,22 @@ class Model(Plugin):
         members = self.checked(self.initial(n_members, rng), (n_members, self.space.size), "initial members")
         return Forecast(Ensemble(members, self.space), self.initial_memory(members))
 
-    def checked_log_density(self, members: Array) -> Array:
-        """Return ``log_first_guess`` of members (N, n); raises ContractError for another shape, NaN or +infinity."""
+    def checked_log_density(self, members: Array, *, drawn: bool = False) -> Array:
+        """Return ``log_first_guess`` (N,) of members (N, n); raises ContractError for another shape, NaN or +infinity.
+
+        Members that the model has ``drawn`` as first guesses are possible: for -infinity the error is raised, too.
+        """
         density = np.asarray(self.log_first_guess(members), dtype=np.float64)
         if density.shape != (len(members),):
             raise ContractError(f"{self.label}: log_first_guess must return ({len(members)},), got {density.shape}")
         if not (density < np.inf).all():
             raise ContractError(f"{self.label}: log_first_guess must return numbers below infinity, got {density}")
+        if drawn and (impossible := np.flatnonzero(density == -np.inf)).size:
+            raise ContractError(
+                f"{self.label}: log_first_guess calls {impossible.size} of {len(members)} first guesses impossible "
+                f"that the model itself has drawn, such as that of member {impossible[0]}; it must be the density of "
+                f"what initial draws"
+            )
         return density
 
     def forecast(self, ensemble: Ensemble, memory: Memory | None, rng: MemberStreams) -> Forecast:

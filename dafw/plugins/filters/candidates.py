@@ -116,16 +116,24 @@ def joined_forecasts(one: Forecast, other: Forecast) -> Forecast:
 
 
 def first_candidates(window: Window, controls: Controls, likelihood: Likelihood) -> Candidates:
-    """Return the belief at the start of the window, carried to the present by re-runs of the model."""
+    """Return the belief at the start of the window, carried to the present by re-runs of the model.
+
+    The members are first guesses: raises ContractError if the model calls one of them impossible.
+    """
     starts = window.first.ensemble.members
     coordinates = controls.coordinates(starts)
-    log_prior = log_prior_of(window, controls, starts, coordinates)
+    log_prior = log_prior_of(window, controls, starts, coordinates, drawn=True)
     return evaluated(window, starts, coordinates, log_prior, likelihood, window.first.memory)[0]
 
 
-def log_prior_of(window: Window, controls: Controls, starts: Array, coordinates: Array) -> Array:
-    """Return the log density (P,) of the first guess, of the coordinates (P, k)."""
-    return window.rerun.log_first_guess(starts) + controls.log_volume(coordinates)
+def log_prior_of(
+    window: Window, controls: Controls, starts: Array, coordinates: Array, *, drawn: bool = False
+) -> Array:
+    """Return the log density (P,) of the first guess, of the coordinates (P, k) of members ``starts`` (P, n).
+
+    Raises ContractError if the model calls members impossible that it has ``drawn`` itself.
+    """
+    return window.rerun.log_first_guess(starts, drawn=drawn) + controls.log_volume(coordinates)
 
 
 def evaluated(

@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 
+from dafw.core.errors import ComputationError
 from dafw.core.space import Array, IntArray
 
 
 def normalized(log_weights: Array) -> Array:
-    """Return weights (P,) that add up to one; equal ones if all are minus infinity."""
+    """Return weights (P,) that add up to one; equal ones if all are minus infinity.
+
+    Raises ComputationError for NaN and +infinity, of which no weights can be made.
+    """
+    if wrong := np.count_nonzero(~(log_weights < np.inf)):
+        raise ComputationError(f"weights of samples: {wrong} of {len(log_weights)} log weights are NaN or infinity")
     largest = log_weights.max()
-    if not np.isfinite(largest):
+    if largest == -np.inf:
         return np.full(len(log_weights), 1.0 / len(log_weights))
     weights = np.exp(log_weights - largest)
     return np.asarray(weights / weights.sum())

@@ -78,6 +78,15 @@ class NegativeFirstGuess(Walk):
         return rng.standard_normal((n_members, 4))
 
 
+@breaks("first_guess_possible")
+class CallsItsZerosImpossible(Walk):
+    def initial(self, n_members, rng):
+        return np.maximum(rng.standard_normal((n_members, 4)), 0.0)
+
+    def log_first_guess(self, members):
+        return np.where((members > 0.0).all(axis=1), -0.5 * (members**2).sum(axis=1), -np.inf)
+
+
 @breaks("steps_in_set")
 class Undershoots(Walk):
     def step(self, members, t, rng):

@@ -8,7 +8,8 @@ from levels import CONTROLS, LIKELIHOOD, Levels, T, fit_of, last_cycle, level_st
 
 from dafw import Filter
 from dafw.core.ensemble import Analysis
-from dafw.core.errors import SolverError
+from dafw.core.errors import ComputationError, ContractError, SolverError
+from dafw.plugins.filters.amis import AMIS
 from dafw.plugins.filters.candidates import (
     Candidates,
     evaluated,
@@ -18,6 +19,7 @@ from dafw.plugins.filters.candidates import (
     tried,
 )
 from dafw.plugins.filters.controls import Controls
+from dafw.plugins.filters.smc import SMC
 from dafw.plugins.filters.weights import clipped, effective_size, n_moments, normalized, systematic, without_repeats
 
 
@@ -105,6 +107,28 @@ def test_candidates_survive_as_arrays_are_joined_and_taken():
     np.testing.assert_array_equal(rest.now.memory["steps"], candidates.now.memory["steps"][2:])
 
 
+class Unsure(Levels):
+    """Calls its own slowest first guess impossible, or does not know how likely it is."""
+
+    said = -np.inf
+
+    def log_first_guess(self, members):
+        density = super().log_first_guess(members)
+        return np.where(members[:, 1] == members[:, 1].min(), self.said, density)
+
+
+@pytest.mark.parametrize(
+    ("said", "message"),
+    [(-np.inf, "calls 1 of 20 first guesses impossible that"), (np.nan, "must return numbers below infinity, got")],
+)
+@pytest.mark.parametrize("filter_", [AMIS(estimate=CONTROLS), SMC(estimate=CONTROLS)], ids=["amis", "smc"])
+def test_a_model_that_calls_its_own_first_guess_impossible_is_named(filter_, said, message):
+    model = Unsure()
+    model.said = said
+    with pytest.raises(ContractError, match=f"model 'Unsure': log_first_guess {message}"):
+        last_cycle(level_study(filter_, model=model))
+
+
 @pytest.mark.parametrize("fault", ["solver", "divergence"])
 def test_those_that_cannot_be_run_are_left_out(fault):
     model = Levels(fault=fault)
@@ -147,6 +171,12 @@ def test_weights_are_normalized_without_overflow():
     np.testing.assert_array_equal(normalized(np.full(4, -np.inf)), np.full(4, 0.25))
     assert effective_size(np.full(5, 0.2)) == pytest.approx(5.0)
     assert effective_size(np.array([0.0, 1.0])) == 1.0
+
+
+@pytest.mark.parametrize("wrong", [np.nan, np.inf])
+def test_no_weights_are_made_of_what_is_no_number(wrong):
+    with pytest.raises(ComputationError, match="weights of samples: 1 of 3 log weights are NaN or infinity"):
+        normalized(np.array([0.0, wrong, -np.inf]))
 
 
 @pytest.mark.parametrize("size", [1, 3, 5])
