@@ -77,7 +77,11 @@ class Record:
         )
         self._rows: list[dict[str, Any]] = []
         self._row_bytes = self._most = 0
+        # Revised beliefs that wait to be written: those that may be revised once more, which the filter's past holds in
+        # any case, and mean and spread (n,) of those that may not.
         self._revised: dict[int, Ensemble] = {}
+        self._final: dict[int, tuple[Array, Array]] = {}
+        self._final_bytes = 2 * state.belief.ensemble.mean.nbytes
         self._thin = fields == "ends"
         self._done = 0
         self._last_fields: dict[str, Any] = {}
@@ -95,16 +99,26 @@ class Record:
         """Add a finished cycle; return its scores."""
         begun = perf_counter()
         row = self._append(cycle.state, cycle.truth, cycle)
-        for done, revised in cycle.analysis.revised.items():
-            self._revised[done] = revised.ensemble
+        if self._smooths:
+            self._revise(cycle)
         # Rows with as many readings are equally large; to add up every row takes 2 % of a small cycle.
         if len(self._rows) == 1 or cycle.observation.values.size > self._most:
             self._most = cycle.observation.values.size
             self._row_bytes = sum(value.nbytes for value in row.values() if isinstance(value, np.ndarray))
-        if perf_counter() - self._flushed > FLUSH_SECONDS or len(self._rows) * self._row_bytes > HELD_BYTES:
+        held = len(self._rows) * self._row_bytes + len(self._final) * self._final_bytes
+        if perf_counter() - self._flushed > FLUSH_SECONDS or held > HELD_BYTES:
             self.flush()
         self._recording = perf_counter() - begun
         return {name: row[name] for name in (*SCORES, *INNOVATION) if name in row}
+
+    def _revise(self, cycle: Cycle) -> None:
+        """Keep the revised beliefs of a cycle until they are written, whole ensembles only while the filter does."""
+        for done, revised in cycle.analysis.revised.items():
+            self._revised[done] = revised.ensemble
+        first = self._may_be_revised
+        for done in [done for done in self._revised if done < first]:
+            belief = self._revised.pop(done)
+            self._final[done] = belief.mean, belief.spread
 
     def _append(self, state: State, truth: Ensemble | None, cycle: Cycle | None) -> dict[str, Any]:
         belief = state.belief.ensemble
@@ -124,7 +138,8 @@ class Record:
             for name, place in self._places[stage]:
                 row[name] = vector[place]
         for name, place in self._places["members"]:
-            row[name] = belief.members[:, place]
+            # A view of one column would keep all members alive for as long as the row waits.
+            row[name] = belief.members[:, place].copy() if isinstance(place, int) else belief.members[:, place]
         if belief.weights is not None:
             self._file.require_weights()
             row["weight"] = belief.weights
@@ -183,23 +198,30 @@ class Record:
         """Write the rows held in memory, and revised beliefs to the rows that they belong to; synchronise the file."""
         self._file.write(self._rows)
         self._rows.clear()
-        for done, belief in self._revised.items():
-            row: dict[str, Any] = {name: belief.mean[place] for name, place in self._places["smoothed_mean"]}
-            row |= {name: belief.spread[place] for name, place in self._places["smoothed_spread"]}
+        revised = self._final | {done: (belief.mean, belief.spread) for done, belief in self._revised.items()}
+        for done, (mean, spread) in revised.items():
+            row: dict[str, Any] = {name: mean[place] for name, place in self._places["smoothed_mean"]}
+            row |= {name: spread[place] for name, place in self._places["smoothed_spread"]}
             if self._has_truth:
-                row["err_smoothed"] = self._smoothed_error(done, belief)
+                row["err_smoothed"] = self._smoothed_error(done, mean)
             if self._thin and done:
                 row = {name: values for name, values in row.items() if not self._file.is_field(name)}
             self._file.rewrite(done, row)
-        if self._revised:
+        if revised:
             self._revised.clear()
+            self._final.clear()
             self._file.write([])
         self._flushed = perf_counter()
 
     def settle(self) -> dict[str, Array]:
         """Write everything, and return what a checkpoint must hold: the revisions of rows that may be revised again."""
         self.flush()
-        return self._file.settle(0 if self._window is None else self._done + 1 - self._window)
+        return self._file.settle(self._may_be_revised)
+
+    @property
+    def _may_be_revised(self) -> int:
+        """The first row that the filter may still revise."""
+        return 0 if self._window is None else self._done + 1 - self._window
 
     def _repeat(self, entries: Entries, later: Mapping[str, Array]) -> None:
         """Write what a journal and a checkpoint have; raises CheckpointError if the file does not fit."""
@@ -213,13 +235,13 @@ class Record:
         except (LookupError, TypeError, ValueError) as error:
             raise CheckpointError(f"its rows do not fit the study ({type(error).__name__}: {error})") from error
 
-    def _smoothed_error(self, done: int, belief: Ensemble) -> float:
-        """Return ERR of a revised belief against the truth as the file has it, in single precision."""
+    def _smoothed_error(self, done: int, mean: Array) -> float:
+        """Return ERR of a revised belief's mean (n,) against the truth as the file has it, in single precision."""
         name = self._space.variables[0].name
         part = self._space.slice(name)
         truth: Array = np.full(self._space.size, np.nan)
         truth[part] = self._truths[done] if self._thin else self._file.read(f"{name}_truth", done)
-        return error_of(self._space, truth, belief.mean)
+        return error_of(self._space, truth, mean)
 
     def close(self) -> None:
         """Write the remaining rows and close the file. It is closed even if they cannot be written."""

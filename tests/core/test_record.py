@@ -1,5 +1,8 @@
 """``run.nc``: its contents; it can be opened at any moment; nothing is overwritten."""
 
+import gc
+import weakref
+
 import netCDF4
 import numpy as np
 import pytest
@@ -7,6 +10,7 @@ import xarray
 from toys import AIRSPACE, Growth, toy_parts
 
 from dafw import ContractError, Domain, RunError, StateSpace, Variable, Vehicle, open_run
+from dafw.core import record as recording
 from dafw.core.cycle import advance, start
 from dafw.core.ensemble import Diagnostic, Route
 from dafw.core.record import Record
@@ -111,6 +115,36 @@ def test_what_was_written_does_not_stay_in_memory(tmp_path):
     assert all(one.get_var_chunk_cache()[0] <= READINGS_CACHE for one in over_time)
     assert sum(one.get_var_chunk_cache()[0] for one in over_time) < 8_000_000
     record.close()
+
+
+@pytest.mark.parametrize("filter", [{}, {"filter": EnKS(window=2)}])
+def test_rows_that_wait_do_not_keep_whole_ensembles_in_memory(filter, tmp_path, monkeypatch):
+    monkeypatch.setattr(recording, "FLUSH_SECONDS", 1e9)
+    parts = toy_parts(**filter)
+    record, done = record_run(tmp_path / "run.nc", parts, cycles=6)
+    beliefs = [one for cycle in done for one in (cycle.state.belief, *cycle.analysis.revised.values())]
+    members = {id(one): weakref.ref(one) for one in (belief.ensemble.members for belief in beliefs)}
+    assert len(record._rows) == 6 and len(members) >= 6
+    state = done[-1].state
+    del done, beliefs
+    gc.collect()
+    held = [state.belief, *(one.belief for one in state.past)]
+    needed = {id(belief.ensemble.members) for belief in held}
+    assert {place for place, one in members.items() if one() is not None} <= needed
+    record.close()
+
+
+def test_revised_beliefs_that_wait_count_as_held(tmp_path, monkeypatch):
+    monkeypatch.setattr(recording, "FLUSH_SECONDS", 1e9)
+    waiting = {}
+    for name, filter_ in {"filter": toy_parts().filter, "smoother": EnKS(window=2)}.items():
+        record, _ = record_run(tmp_path / f"{name}.nc", toy_parts(filter=filter_), cycles=1)
+        monkeypatch.setattr(recording, "HELD_BYTES", 6 * record._row_bytes)
+        record.close()
+        record, _ = record_run(tmp_path / f"{name}_again.nc", toy_parts(filter=filter_), cycles=6)
+        waiting[name] = len(record._rows)
+        record.close()
+    assert waiting["filter"] == 6 and waiting["smoother"] < 6
 
 
 def test_a_run_is_never_overwritten(tmp_path):
