@@ -32,6 +32,8 @@ from dafw.core.space import Array, IntArray, StateSpace, Variable
 
 FLUSH_SECONDS = 0.5
 HELD_BYTES = 32_000_000
+LAST = "last/"
+"""Prefix, among what a checkpoint must hold, of the fields that are written only if no further row follows."""
 type Entries = Iterable[tuple[dict[str, Any], dict[str, Array]]]
 type Numbers = Callable[[Sequence[str]], IntArray]
 
@@ -214,9 +216,14 @@ class Record:
         self._flushed = perf_counter()
 
     def settle(self) -> dict[str, Array]:
-        """Write everything, and return what a checkpoint must hold: the revisions of rows that may be revised again."""
+        """Write everything, and return what a checkpoint must hold.
+
+        This is the revisions of rows that may be revised again, and the fields of the last row if only those of the
+        ends are kept.
+        """
         self.flush()
-        return self._file.settle(self._may_be_revised)
+        last = {f"{LAST}{name}": self._file.as_stored(name, values) for name, values in self._last_fields.items()}
+        return self._file.settle(self._may_be_revised) | last
 
     @property
     def _may_be_revised(self) -> int:
@@ -231,7 +238,9 @@ class Record:
                     self._truths[int(told["truth"])] = arrays["truth"]
                 else:
                     self._file.repeat(told, arrays)
-            self._done = self._file.go_on(self._journal, later) - 1
+            self._last_fields = {name.removeprefix(LAST): later[name] for name in later if name.startswith(LAST)}
+            revised = {name: values for name, values in later.items() if not name.startswith(LAST)}
+            self._done = self._file.go_on(self._journal, revised) - 1
         except (LookupError, TypeError, ValueError) as error:
             raise CheckpointError(f"its rows do not fit the study ({type(error).__name__}: {error})") from error
 

@@ -160,6 +160,10 @@ class RunFile:
         """Return whether a variable holds a state variable with several numbers, such as one on a mesh."""
         return name in self._layout.fields
 
+    def as_stored(self, name: str, values: Any) -> Array:
+        """Return values in the type in which the file has a variable."""
+        return np.asarray(values, dtype=self._fills[name].dtype)
+
     def rewrite(self, row: int, values: Mapping[str, Any]) -> None:
         """Write variables of a row again; a reader may see the old or the new values until the file is synchronised."""
         for name, value in values.items():

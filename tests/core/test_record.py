@@ -11,6 +11,7 @@ from toys import AIRSPACE, Growth, toy_parts
 
 from dafw import ContractError, Domain, RunError, StateSpace, Variable, Vehicle, open_run
 from dafw.core import record as recording
+from dafw.core.checkpoints.journal import Journal, entries
 from dafw.core.cycle import advance, start
 from dafw.core.ensemble import Diagnostic, Route
 from dafw.core.record import Record
@@ -285,3 +286,31 @@ def test_fields_of_the_ends_alone_leave_everything_else_as_it_is(filter, tmp_pat
             rows = {"time": [0, 5]} if is_field else {}
             np.testing.assert_array_equal(thin[name].isel(rows), whole[name].isel(rows), err_msg=name)
             assert not is_field or thin[name][1:5].isnull().all(), name
+
+
+@pytest.mark.parametrize("filter", [{}, {"filter": EnKS(window=2)}])
+def test_a_run_that_goes_on_without_a_further_cycle_has_its_last_fields(filter, tmp_path):
+    for name in ("whole", "again"):
+        (tmp_path / name).mkdir()
+    parts, kept = toy_parts(**filter), {"members": ("gas", "rate"), "fields": "ends"}
+    record, done = record_run(tmp_path / "whole" / "run.nc", parts, **kept)
+    record.close()
+    places = [tmp_path / "again" / name for name in ("run.nc", "rows.journal")]
+    with Journal(places[1]) as journal:
+        record, _ = record_run(places[0], parts, **kept, journal=journal)
+        later, length = record.settle(), journal.length()
+        record.close()
+    with Journal(places[1], length) as journal:
+        before = (entries(places[1], length), later)
+        record, _ = record_run(places[0], parts, cycles=0, **kept, journal=journal, before=before)
+        assert record.settle().keys() == later.keys()  # it may be interrupted again
+        record.close()
+    with open_run(tmp_path / "whole") as whole, open_run(tmp_path / "again") as again:
+        assert again["gas_forecast_mean"][3].notnull().all()
+        for name in set(whole.variables) - {"phase_seconds"}:
+            np.testing.assert_array_equal(again[name], whole[name], err_msg=name)
+    record, _ = record_run(places[0], parts, cycles=0, **kept, before=(entries(places[1], length), later))
+    record.append(advance(parts, done[-1].state))
+    record.close()
+    with open_run(tmp_path / "again") as run:
+        assert run["gas_mean"][3].isnull().all() and run["gas_mean"][4].notnull().all()

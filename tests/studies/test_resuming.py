@@ -16,6 +16,7 @@ from dafw.commands import main
 from dafw.core.checkpoints.checkpoint_file import FOLDER, checkpoints
 from dafw.core.checkpoints.plan import CheckpointPlan
 from dafw.core.composition import compose, study_part
+from dafw.core.errors import NoMoreReadingsError
 from dafw.core.experiment import study_from
 from dafw.core.runs import summary_of
 from dafw.plugins.filters.enks import EnKS
@@ -113,6 +114,36 @@ def test_a_run_can_go_on_without_further_checkpoints(tmp_path, monkeypatch):
     run_study(never, tmp_path / "whole")
     require_same(tmp_path / "whole", folder)
     assert not (folder / FOLDER).exists()
+
+
+@dataclass
+class Ending(Twin):
+    """Has no readings from the fourth cycle on."""
+
+    def take_with_memory(self, request, memory, rng):
+        if request.cycle == 3:
+            raise NoMoreReadingsError("these were all")
+        return super().take_with_memory(request, memory, rng)
+
+
+def interrupts(self, request, memory, rng):
+    raise KeyboardInterrupt
+
+
+def test_a_run_whose_readings_end_where_it_goes_on_has_the_fields_of_its_end(tmp_path, monkeypatch):
+    ends = lorenz96(EnKS(window=3), record_fields="ends", record="all", readings=Ending())
+    assert run_study(ends, tmp_path / "whole")["cycles"] == 3
+    folder = tmp_path / "killed"
+    killed(monkeypatch, lambda: run_study(ends, folder), 4)
+    monkeypatch.setattr(Ending, "take_with_memory", interrupts)
+    with pytest.raises(Interrupted):
+        run_study(ends, folder, resume=True)
+    monkeypatch.undo()
+    summary = run_study(ends, folder, resume=True)
+    assert (summary["status"], summary["resumed_after"]) == ("complete", [3])
+    require_same(tmp_path / "whole", folder)
+    with dafw.open_run(folder) as run:
+        assert run["x_mean"][3].notnull().all() and run["x_forecast_mean"][3].notnull().all()
 
 
 def test_a_run_without_a_checkpoint_starts_again(tmp_path, monkeypatch):
