@@ -213,6 +213,7 @@ class Record:
             self._revised.clear()
             self._final.clear()
             self._file.write([])
+        self._drop_truths()
         self._flushed = perf_counter()
 
     def settle(self) -> dict[str, Array]:
@@ -225,6 +226,11 @@ class Record:
         last = {f"{LAST}{name}": self._file.as_stored(name, values) for name, values in self._last_fields.items()}
         return self._file.settle(self._may_be_revised) | last
 
+    def _drop_truths(self) -> None:
+        """Forget the truth of rows that the filter may not revise any more; the oldest come first."""
+        while self._truths and next(iter(self._truths)) < self._may_be_revised:
+            del self._truths[next(iter(self._truths))]
+
     @property
     def _may_be_revised(self) -> int:
         """The first row that the filter may still revise."""
@@ -235,7 +241,9 @@ class Record:
         try:
             for told, arrays in entries:
                 if "truth" in told:
-                    self._truths[int(told["truth"])] = arrays["truth"]
+                    self._done = int(told["truth"])
+                    self._truths[self._done] = arrays["truth"]
+                    self._drop_truths()
                 else:
                     self._file.repeat(told, arrays)
             self._last_fields = {name.removeprefix(LAST): later[name] for name in later if name.startswith(LAST)}

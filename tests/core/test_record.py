@@ -314,3 +314,20 @@ def test_a_run_that_goes_on_without_a_further_cycle_has_its_last_fields(filter, 
     record.close()
     with open_run(tmp_path / "again") as run:
         assert run["gas_mean"][3].isnull().all() and run["gas_mean"][4].notnull().all()
+
+
+def test_truths_that_nothing_is_compared_with_any_more_are_dropped(tmp_path):
+    parts, kept = toy_parts(filter=EnKS(window=2)), {"fields": "ends"}
+    with Journal(tmp_path / "rows.journal") as journal:
+        record, _ = record_run(tmp_path / "run.nc", parts, cycles=6, **kept, journal=journal)
+        later, length = record.settle(), journal.length()
+    assert list(record._truths) == [5, 6]
+    record.close()
+    before = (entries(tmp_path / "rows.journal", length), later)
+    record, _ = record_run(tmp_path / "run.nc", parts, cycles=0, **kept, before=before)
+    assert list(record._truths) == [5, 6]
+    record.close()
+    record, _ = record_run(tmp_path / "all.nc", toy_parts(filter=EnKS()), cycles=6, **kept)
+    record.flush()
+    assert len(record._truths) == 7
+    record.close()
