@@ -46,7 +46,8 @@ class Summary:
         self._parameters: dict[str, dict[str, float | None]] = {}
         self._counts: defaultdict[str, int] = defaultdict(int)
         self._left_out: defaultdict[str, int] = defaultdict(int)
-        self._innovations: list[float] = []
+        # Of innovation_rms, over the cycles that have readings: how many they are, and the sum of its squares.
+        self._innovations, self._squares = 0, 0.0
         self.configuration = ""
         self.working_folder: str | None = None
         with suppress(OSError):  # somebody has removed it
@@ -64,8 +65,10 @@ class Summary:
         """Add a finished cycle."""
         self.cycles += 1
         self._scores = scores
-        if math.isfinite(scores["innovation_rms"]):
-            self._innovations.append(scores["innovation_rms"])
+        innovation = scores["innovation_rms"]
+        if math.isfinite(innovation):
+            self._innovations += 1
+            self._squares += innovation * innovation
         for phase, seconds in cycle.seconds.items():
             self._seconds[phase] += seconds
         for use, count in cycle.readings.counts.items():
@@ -87,7 +90,7 @@ class Summary:
             "scores": dict(self._scores),
             "counts": dict(self._counts),
             "left_out": dict(self._left_out),
-            "innovations": self._innovations,
+            "innovations": {"cycles": self._innovations, "squares": self._squares},
             "resumed_after": self.resumed_after,
             "elapsed": perf_counter() - self.begun,
         }
@@ -103,7 +106,8 @@ class Summary:
         ):
             for name, number in before.items():
                 own[name] += number
-        self._scores, self._innovations = dict(kept["scores"]), [*kept["innovations"]]
+        self._scores, innovations = dict(kept["scores"]), kept["innovations"]
+        self._innovations, self._squares = innovations["cycles"], innovations["squares"]
         self.resumed_after = [*kept["resumed_after"], self.cycles]
         self.begun -= kept["elapsed"]
 
@@ -144,7 +148,7 @@ class Summary:
             "cycles_wanted": study.cycles,
             "err_final": _finite(self._scores.get("err")),
             "err_free_final": _finite(self._scores.get("err_free")),
-            "innovation_rms": math.sqrt(np.mean(np.square(self._innovations))) if self._innovations else None,
+            "innovation_rms": math.sqrt(self._squares / self._innovations) if self._innovations else None,
             "diverged_at": self.diverged_at,
             "readings": dict(self._counts),
             "readings_left_out": dict(self._left_out),

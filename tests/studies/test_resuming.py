@@ -16,6 +16,7 @@ from dafw.commands import main
 from dafw.core.checkpoints.checkpoint_file import FOLDER, checkpoints
 from dafw.core.checkpoints.plan import CheckpointPlan
 from dafw.core.composition import compose, study_part
+from dafw.core.cycle import advance
 from dafw.core.errors import NoMoreReadingsError
 from dafw.core.experiment import study_from
 from dafw.core.runs import summary_of
@@ -34,6 +35,7 @@ from dafw.studies.replaying import difference_of
 from dafw.studies.resuming import LOCK, is_complete, shared
 from dafw.studies.running import run_study
 from dafw.studies.stopping import Interrupted
+from dafw.studies.summary import Summary
 
 EACH = CheckpointPlan(cycles=1)
 
@@ -144,6 +146,17 @@ def test_a_run_whose_readings_end_where_it_goes_on_has_the_fields_of_its_end(tmp
     require_same(tmp_path / "whole", folder)
     with dafw.open_run(folder) as run:
         assert run["x_mean"][3].notnull().all() and run["x_forecast_mean"][3].notnull().all()
+
+
+def test_what_a_checkpoint_holds_of_the_summary_does_not_grow_with_the_cycles():
+    study = lorenz96(ETKF())
+    cycle, summary = advance(*study.begin()), Summary(study, 0.0, 1)
+    found, sizes = np.random.default_rng(0).uniform(0.5, 2.0, size=200), []
+    for innovation in (*found.tolist(), np.nan):  # a cycle without readings has none
+        summary.add(cycle, {"innovation_rms": innovation})
+        sizes.append(len(json.dumps(summary.kept())))
+    assert sizes[-1] < sizes[0] + 100
+    assert summary.values()["innovation_rms"] == pytest.approx(np.sqrt(np.mean(found**2)), rel=1e-14)
 
 
 def test_a_run_without_a_checkpoint_starts_again(tmp_path, monkeypatch):
