@@ -16,6 +16,8 @@ from dafw.core.ugrid import write_domain
 CHUNK_NUMBERS = 4096
 CACHE, READINGS_CACHE = 1 << 16, 1 << 18
 """Bytes of a variable, and of one of readings, that HDF5 may hold in memory. By default it holds 64 MB of each."""
+GROWING = ("time", "observation", "sensor")
+"""The dimensions without a limit. To netCDF, a dimension of size zero has none either; nothing is written along it."""
 USES = ("used", "used_in_window", "dropped")
 """How a reading was used: at the end of its row's cycle, late but within the filter's window, or not at all."""
 KIND_NOTES = {
@@ -43,7 +45,7 @@ class RunLayout:
 
     Attributes:
         fills: the missing value of each variable over time, by name; in the variable's type.
-        shapes: the shape of a row of each variable, without ``time``. A dimension without a limit counts one.
+        shapes: the shape of a row of each variable, without ``time``. A dimension that grows counts one.
         fields: names of the variables over time that hold a state variable with several numbers.
     """
 
@@ -91,19 +93,18 @@ class RunLayout:
         self, name: str, dims: tuple[str, ...], dtype: str, units: str, long_name: str, **attributes: Any
     ) -> None:
         """Define a variable over time."""
-        sizes = [1 if self._file.dimensions[dim].isunlimited() else len(self._file.dimensions[dim]) for dim in dims]
+        sizes = [1 if dim in GROWING else len(self._file.dimensions[dim]) for dim in dims]
         # An integer diagnostic may be -1, so its missing value is a number that does not occur.
         fill = {"f": np.nan, "i": -1}[dtype[0]] if dtype != "i8" else np.iinfo(np.int64).min
-        # Short rows share a chunk.
-        chunks = [max(1, min(1024, CHUNK_NUMBERS // max(1, math.prod(sizes[1:])))), *sizes[1:]]
+        # Short rows share a chunk. No side of a chunk may be zero.
+        row = [max(1, size) for size in sizes[1:]]
+        chunks = [max(1, min(1024, CHUNK_NUMBERS // math.prod(row))), *row]
         cache = CACHE
         if "observation" in dims:
             chunks, cache = [64, 16], READINGS_CACHE
         # A coordinate has no missing values (CF).
         given = None if dims == (name,) else fill
-        variable = self._file.createVariable(
-            name, dtype, dims, fill_value=given, chunksizes=chunks if 0 not in chunks else None, chunk_cache=cache
-        )
+        variable = self._file.createVariable(name, dtype, dims, fill_value=given, chunksizes=chunks, chunk_cache=cache)
         variable.setncatts({"units": units, "long_name": long_name, **attributes})
         # Written values already have the variable's type and are never masked, so netCDF4 need not convert them.
         variable.set_auto_maskandscale(False)

@@ -2,6 +2,7 @@
 
 import gc
 import weakref
+from dataclasses import replace
 
 import netCDF4
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 import xarray
 from toys import AIRSPACE, Growth, toy_parts
 
-from dafw import ContractError, Domain, RunError, StateSpace, Variable, Vehicle, open_run
+from dafw import ContractError, Domain, RunError, Selection, StateSpace, Variable, Vehicle, open_run
 from dafw.core import record as recording
 from dafw.core.checkpoints.journal import Journal, entries
 from dafw.core.cycle import advance, start
@@ -17,6 +18,7 @@ from dafw.core.ensemble import Diagnostic, Route
 from dafw.core.record import Record
 from dafw.core.run_layout import READINGS_CACHE
 from dafw.plugins.filters.enks import EnKS
+from dafw.plugins.filters.none import NoFilter
 
 
 class Still(Growth):
@@ -30,11 +32,12 @@ class Still(Growth):
 
 
 VEHICLE = Vehicle(np.zeros((1, 2)), speed=1.0, dt=2.0)
+NO_VEHICLE = Vehicle(np.zeros((0, 2)), speed=1.0, dt=2.0)
 
 
-def record_run(path, parts=None, cycles=3, members=("rate",), n_members=5, **more):
+def record_run(path, parts=None, cycles=3, members=("rate",), n_members=5, vehicle=VEHICLE, **more):
     parts = parts or toy_parts()
-    state = start(parts, n_members, VEHICLE)
+    state = start(parts, n_members, vehicle)
     record = Record(
         path,
         parts,
@@ -175,6 +178,55 @@ def test_diagnostics_of_plugins_are_kept_under_their_kind(tmp_path):
         assert run["policy_score"][0].isnull().all()
 
 
+class PerVehicle(type(toy_parts().policy)):
+    """Reports a number for each vehicle."""
+
+    def decide(self, belief, vehicle, rng):
+        route = super().decide(belief, vehicle, rng)
+        return Route(route.paths, diagnostics={"battery": Diagnostic(np.ones(len(route.paths)), ("vehicle",))})
+
+
+class Listing(NoFilter):
+    """Reports a list of numbers, ``listed`` long."""
+
+    listed = 0
+
+    def analyse(self, forecast, predicted, observation, rng):
+        numbers = np.ones(self.listed, dtype=np.int64)
+        found = {"kept": Diagnostic(numbers, ("kept",)), "members": Diagnostic(np.ones((5, 0)), ("member", "kept"))}
+        return replace(super().analyse(forecast, predicted, observation, rng), diagnostics=found)
+
+
+class FirstNode(type(toy_parts().observer)):
+    """Reads a node without a vehicle."""
+
+    def operator(self, space, route, t):
+        return Selection(indices=np.array([0]), covariance=np.array([0.01]))
+
+
+def test_a_diagnostic_may_have_an_axis_of_length_zero(tmp_path):
+    parts = toy_parts(policy=PerVehicle(), observer=FirstNode(), filter=Listing())
+    with Journal(tmp_path / "rows.journal") as journal:
+        record, _ = record_run(tmp_path / "run.nc", parts, vehicle=NO_VEHICLE, journal=journal)
+        later, length = record.settle(), journal.length()
+        record.close()
+    before = (entries(tmp_path / "rows.journal", length), later)
+    for _ in range(2):
+        with open_run(tmp_path) as run:
+            assert run["policy_battery"].shape == run["vehicle_x"].shape == run["filter_kept"].shape == (4, 0)
+            assert run["filter_members"].shape == (4, 5, 0) and run["gas_mean"].notnull().all()
+        record_run(tmp_path / "run.nc", parts, cycles=0, vehicle=NO_VEHICLE, before=before)[0].close()
+
+
+def test_a_diagnostic_that_outgrows_an_axis_of_length_zero_is_refused(tmp_path):
+    parts = toy_parts(observer=FirstNode(), filter=Listing())
+    record, done = record_run(tmp_path / "run.nc", parts)
+    parts.filter.listed = 1
+    with pytest.raises(ContractError, match=r"'filter_kept' must have the shape \(0,\), got \(1,\)"):
+        record.append(advance(parts, done[-1].state))
+    record.close()
+
+
 def counting(*values):
     """Return a policy that reports one of the values in each cycle."""
 
@@ -216,8 +268,6 @@ def test_readings_of_changing_number_are_padded(tmp_path):
 
     class Changing(two):
         def operator(self, space, route, t):
-            from dataclasses import replace
-
             one = super().operator(space, route, t)
             if t == 2.0:
                 return replace(one, indices=np.array([2, 4]), covariance=np.ones(2))
