@@ -88,9 +88,9 @@ class Forecasting:
         self._file.write(belief, singles)
         if self._regions is not None and self._origin is not None:
             (self._folder / FOLDER).mkdir(exist_ok=True)
-            write_atomically(
-                self._folder / FOLDER / f"issued_{time:g}s.geojson", collection(list(self._features(belief)))
-            )
+            # Twelve digits tell all times of a long run apart, and hide that the sum of its time steps is rounded.
+            file = self._folder / FOLDER / f"issued_{time:.12g}s.geojson"
+            write_atomically(file, collection(list(self._features(belief))))
         self.issued += 1
         self.seconds += perf_counter() - begun
         log.info("forecast at t = %g s: %s", time, self._said(belief))

@@ -27,7 +27,7 @@ from dafw.plugins.observers.drone import Drone
 from dafw.plugins.observers.grid import Grid
 from dafw.plugins.readings.listed import Listed
 from dafw.studies.forecast_scores import KEPT, kept_scores
-from dafw.studies.forecasting import NO_PLACE
+from dafw.studies.forecasting import NO_PLACE, Forecasting
 from dafw.studies.running import run_study
 
 GATE = [[150.0, 0.0], [200.0, 0.0], [200.0, 80.0], [150.0, 80.0]]
@@ -156,6 +156,17 @@ def test_polygons_open_in_another_program_where_the_gas_is(folder):
     np.testing.assert_array_equal(places.within(one)[sure], (chances >= 0.5)[sure])
     areas = shapes[(shapes["kind"] == "area") & (shapes["threshold"] == 0.02)]
     assert areas["name"].tolist() == ["gate"] and areas["probability"].tolist() == [reached]
+
+
+def test_late_in_a_long_run_every_forecast_has_its_own_polygons(tmp_path):
+    parts, state = study().begin()
+    forecasting = Forecasting(PLAN, parts, state, tmp_path, {})
+    for time in (999_998.0, 1_000_002.0, 1_000_004.5):
+        belief = replace(state.belief, ensemble=replace(state.belief.ensemble, time=time))
+        assert forecasting.issue(replace(state, belief=belief)) is None
+    forecasting.close()
+    names = sorted(path.name for path in (tmp_path / "forecasts").iterdir())
+    assert names == ["issued_1000002s.geojson", "issued_1000004.5s.geojson", "issued_999998s.geojson"]
 
 
 def test_the_summary_counts_forecasts(folder):
