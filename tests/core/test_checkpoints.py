@@ -30,6 +30,7 @@ from dafw.core.checkpoints.plan import CheckpointPlan
 from dafw.core.checkpoints.values import UnwritableError, packed, unpacked
 from dafw.core.cycle import advance
 from dafw.core.errors import CheckpointError
+from dafw.core.executors.processes import Processes
 from dafw.core.window import PastCycle
 from dafw.plugins.filters.enkf import EnKF
 
@@ -314,7 +315,8 @@ def test_what_must_be_the_same_is_described(begun):
     other = Study(model=Growth(), truth=Growth(rate=3.0), **parts, checkpoint=CheckpointPlan(cycles=1), pictures=True)
     assert difference(described(study), described(other)) == "truth.rate = 2.0, now it is 3.0"
     assert digest(described(study)) != digest(described(other))
-    equal = Study(model=Growth(), truth=Growth(rate=2.0), **parts, checkpoint=CheckpointPlan(cycles=1))
+    free = {"executor": Processes(workers=2), "advice": ["-"], "checkpoint": CheckpointPlan(cycles=1)}
+    equal = Study(model=Growth(), truth=Growth(rate=2.0), **parts, **free)
     assert described(study) == described(equal) and digest(described(study)) == digest(described(equal))
     assert changed_versions({"numpy": "1", "old": "2"}, {"numpy": "2", "new": "3"}) == [
         "numpy was 1 and is 2",

@@ -18,6 +18,7 @@ from dafw.core.checkpoints.plan import CheckpointPlan
 from dafw.core.composition import compose, study_part
 from dafw.core.cycle import advance
 from dafw.core.errors import NoMoreReadingsError
+from dafw.core.executors.processes import Processes
 from dafw.core.experiment import study_from
 from dafw.core.runs import summary_of
 from dafw.plugins.filters.enks import EnKS
@@ -224,6 +225,16 @@ def test_another_configuration_is_refused_and_named(unfinished):
     assert run_study(replace(study, checkpoint=CheckpointPlan(), pictures=False), folder, resume=True)
 
 
+def test_with_another_executor_and_other_places_of_advice_a_run_goes_on_to_the_same_bits(unfinished, tmp_path):
+    study, folder = unfinished
+    run_study(study, tmp_path / "whole")
+    other = replace(study, executor=Processes(workers=1), advice=[str(tmp_path / "advice.jsonl")])
+    assert run_study(other, folder, resume=True)["status"] == "complete"
+    with dafw.open_run(tmp_path / "whole") as before, dafw.open_run(folder) as now:
+        assert json.loads(now.attrs["parts"])["executor"] == "processes"
+        assert difference_of(before.assign_attrs(parts=""), now.assign_attrs(parts=""), "time") == ""
+
+
 def test_other_versions_are_refused_and_named(unfinished, monkeypatch):
     study, folder = unfinished
     edited(folder, monkeypatch, versions={**summary_of(folder)["versions"], "dafw": "0.0.1"})
@@ -425,6 +436,8 @@ def test_the_same_command_goes_on_with_resume_auto(run_folder, capsys):
     assert summary_of(run_folder)["resumed_after"] == [3]
     capsys.readouterr()
     assert main(command) == 0
+    assert capsys.readouterr().out.startswith("lorenz96, seed 0: complete already")
+    assert main([*command, "executor=processes", "advice=[other.jsonl]"]) == 0
     assert capsys.readouterr().out.startswith("lorenz96, seed 0: complete already")
 
 

@@ -15,8 +15,8 @@ from dafw.core.cycle import State
 from dafw.core.registry import registry
 from dafw.core.study import Study
 
-NOT_COMPARED = ("resume", "checkpoint", "pictures")
-"""Entries of a configuration that do not change the numbers of a run."""
+NOT_COMPARED = ("resume", "checkpoint", "pictures", "executor", "advice")
+"""Entries of a configuration, and roles of a study, that do not change the numbers of a run."""
 OWN = ("start", "speed", "members", "cycles", "seed", "late_readings", "record", "record_fields", "section", "name")
 
 
@@ -29,11 +29,11 @@ def described(study: Study) -> dict[str, Any]:
         return compared(study.configuration)
     parts = {role: {"class": _class(part), **_options(part)} for role, part in study.parts_by_role.items()}
     own = {name: getattr(study, name) for name in OWN}
-    return dict(_plain({**parts, **own, "forecast": asdict(study.forecast)}))
+    return compared({**parts, **own, "forecast": asdict(study.forecast)})
 
 
 def compared(configuration: Mapping[str, Any]) -> dict[str, Any]:
-    """Return of a composed configuration what changes the numbers of a run."""
+    """Return of a configuration what changes the numbers of a run, as plain values."""
     return dict(_plain({name: one for name, one in configuration.items() if name not in NOT_COMPARED}))
 
 
