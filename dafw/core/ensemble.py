@@ -15,6 +15,7 @@ import numpy as np
 
 from dafw.core.domain import Domain
 from dafw.core.errors import ContractError
+from dafw.core.quantiles import quantile
 from dafw.core.space import Array, StateSpace
 
 type Memory = Mapping[str, Any]
@@ -134,12 +135,12 @@ class Ensemble:
     def quantile(self, probability: float) -> Array:
         """Return the quantile (n,) of every number; angles are measured from their circular mean.
 
-        With weights it is the smallest member at which the cumulative weight reaches ``probability``.
+        With weights it is the smallest member at which the cumulative weight reaches ``probability``, up to rounding.
         """
         if self.weights is None:
             deviation = np.quantile(self.anomalies, probability, axis=0)
         else:
-            deviation = np.quantile(self.anomalies, probability, axis=0, weights=self.weights, method="inverted_cdf")
+            deviation = quantile(self.anomalies, self.weights, probability)
         return handed_over(self.space.retract(self.mean, deviation))
 
     def average(self, values: Array) -> Array:

@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dafw.core.forecasts.chances import chance, exceeded, quantile
+from dafw.core.forecasts.chances import chance, exceeded
+from dafw.core.quantiles import quantile
 
 COUNTS = st.lists(st.integers(0, 5), min_size=1, max_size=8).filter(any)
 VALUES = st.sampled_from([-1.0, 0.0, 0.5, 1.0, 3.0, np.inf])

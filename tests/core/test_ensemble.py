@@ -44,6 +44,19 @@ def test_one_member_with_all_the_weight_has_no_spread_and_is_the_mean():
     np.testing.assert_allclose(belief.quantile(0.1), belief.members[1])
 
 
+@pytest.mark.parametrize("count", [9, 20, 100])
+def test_with_equal_weights_a_quantile_is_the_first_member_that_reaches_it(count):
+    space = StateSpace([Variable("x", 1)])
+    belief = Ensemble(np.arange(1.0, count + 1)[:, np.newaxis], space, weights=np.full(count, 1 / count))
+    found = [belief.quantile(k / count)[0] for k in range(1, count + 1)]
+    np.testing.assert_allclose(found, np.arange(1.0, count + 1))
+
+
+def test_a_member_without_weight_is_no_quantile():
+    belief = Ensemble([[1.0], [2.0], [3.0], [4.0]], StateSpace([Variable("x", 1)]), weights=[0.0, 0.5, 0.5, 0.0])
+    assert [belief.quantile(p)[0] for p in (0.0, 0.5, 0.6, 1.0)] == [2.0, 2.0, 3.0, 3.0]
+
+
 def test_the_weighted_variance_is_that_of_the_density_it_samples():
     rng = np.random.default_rng(5)
     x = rng.uniform(-6.0, 6.0, 40_000)

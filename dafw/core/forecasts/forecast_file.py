@@ -19,8 +19,9 @@ from dafw.core.errors import CheckpointError, RunError
 from dafw.core.files import made_anew
 from dafw.core.forecasts.ahead import Ahead, Course
 from dafw.core.forecasts.areas import Places
-from dafw.core.forecasts.chances import chance, exceeded, quantile
+from dafw.core.forecasts.chances import chance, exceeded
 from dafw.core.forecasts.plan import ForecastPlan
+from dafw.core.quantiles import quantile
 from dafw.core.run_layout import CACHE
 from dafw.core.runs import NO_TIME
 from dafw.core.space import Array
