@@ -9,7 +9,7 @@ import numpy as np
 
 from dafw.core.ensemble import Ensemble
 from dafw.core.observation import Observation
-from dafw.core.space import Array, StateSpace
+from dafw.core.space import POSITIVE, Array, StateSpace
 
 SCORES = ("err", "err_forecast", "err_free", "rmse", "spread")
 INNOVATION = ("innovation_mean", "innovation_rms")
@@ -29,26 +29,38 @@ def root_mean_square(values: Array) -> float:
 
 
 def error_of(space: StateSpace, truth: Array, estimate: Array) -> float:
-    """Return ERR of the first variable of the state (per cent); both (n,). Angles are compared the short way round."""
-    part = space.slice(space.variables[0].name)
-    return relative_error(_norm(space.difference(truth, estimate)[part]), _norm(truth[part]))
+    """Return ERR of the first variable of the state (per cent); both (n,). Angles are compared the short way round.
+
+    Positive numbers are compared as they are: a difference of logarithms has not the units of the truth.
+    """
+    scored = space.variables[0]
+    part, difference = space.slice(scored.name), np.subtract if scored.kind is POSITIVE else space.difference
+    return relative_error(_norm(difference(truth, estimate)[part]), _norm(truth[part]))
 
 
 def scores(
     space: StateSpace, truth: Array | None, belief: Ensemble, forecast: Ensemble | None, free: Ensemble | None
 ) -> dict[str, float]:
-    """Return ``SCORES`` of the first variable of the state; NaN for what is missing. ``truth`` is (n,)."""
-    part = space.slice(space.variables[0].name)
+    """Return ``SCORES`` of the first variable of the state; NaN for what is missing. ``truth`` is (n,).
+
+    ``rmse`` and ``spread`` of a positive variable are those of its logarithm, ERR is of its numbers as they are.
+    """
+    scored = space.variables[0]
+    part, is_positive = space.slice(scored.name), scored.kind is POSITIVE
     found = dict.fromkeys(SCORES, math.nan)
     found["spread"] = root_mean_square(belief.spread[part])
     if truth is None:
         return found
-    size, off = _norm(truth[part]), _norm(space.difference(truth, belief.mean)[part])
-    found["err"], found["rmse"] = relative_error(off, size), off / math.sqrt(part.stop - part.start)
+    difference = np.subtract if is_positive else space.difference
+    size, off = _norm(truth[part]), _norm(difference(truth, belief.mean)[part])
+    found["err"] = relative_error(off, size)
+    if is_positive:
+        off = _norm(space.difference(truth, belief.mean)[part])
+    found["rmse"] = off / math.sqrt(part.stop - part.start)
     if forecast is not None:
-        found["err_forecast"] = relative_error(_norm(space.difference(truth, forecast.mean)[part]), size)
+        found["err_forecast"] = relative_error(_norm(difference(truth, forecast.mean)[part]), size)
     if free is not None:
-        found["err_free"] = relative_error(_norm(space.difference(truth, free.members[0])[part]), size)
+        found["err_free"] = relative_error(_norm(difference(truth, free.members[0])[part]), size)
     return found
 
 

@@ -63,7 +63,7 @@ class RunLayout:
         absent = {"truth": parts.truth is None, "free": parts.free is None, "smoothed": parts.filter.window == 0}
         self._stages = {name: text for name, text in STAGES.items() if not absent.get(name.split("_")[0])}
         self._define_states(space, with_members, meshed=domain is not None and domain.triangles is not None)
-        self._define_cycle_variables(space.variables[0].name, space.variables[0].units)
+        self._define_cycle_variables(space.variables[0])
         if domain is not None:
             write_domain(file, domain)
         if len(section):
@@ -150,7 +150,9 @@ class RunLayout:
                 names = [f"{variable.name}_{stage}" for stage in (*self._stages, "members")]
                 self.fields.update(names)
 
-    def _define_cycle_variables(self, scored: str, units: str) -> None:
+    def _define_cycle_variables(self, variable: Variable) -> None:
+        # Error and spread of a positive variable are of its logarithm.
+        scored, units = variable.name, "1" if variable.kind is Kind.POSITIVE else variable.units
         # No `axis`, no `standard_name`: for CF those are of times since a date, and a study has none.
         self.define("time", ("time",), "f8", "s", "time since the start")
         present = {stage.split("_")[0] for stage in self._stages}

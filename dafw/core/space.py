@@ -13,7 +13,7 @@ kind                    mean                            difference a - b        
 ``ANGLE`` (radians)     circular, in [0, 2 pi)          wrapped to [-pi, pi)                 (x + dx) mod 2 pi
 ======================  ==============================  ===================================  =====================
 
-A positive variable is moved in its logarithm: it never reaches zero, and its spread and errors are relative.
+A positive variable is moved in its logarithm: it never reaches zero, and its spread and differences are relative.
 """
 
 from __future__ import annotations

@@ -118,7 +118,7 @@ def _scores(run: Dataset) -> list[dict[str, Any]]:
             {
                 "id": "rmse",
                 "title": f"Root mean square {'error and spread' if len(lines) > 1 else 'spread'}",
-                "units": units_of(run, f"{scored}_mean"),
+                "units": "" if is_positive(run, scored) else units_of(run, f"{scored}_mean"),
                 "lines": lines,
                 "floor": 0.0,
                 "log": True,

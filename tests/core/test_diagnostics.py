@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import kstest, norm
 
-from dafw import ANGLE, Ensemble, StateSpace, Variable
+from dafw import ANGLE, POSITIVE, Ensemble, StateSpace, Variable
 from dafw.core.diagnostics import error_of, innovation_scores, predicted_spread, ranks, scores
 from dafw.core.observation import Observation, Selection
 
@@ -30,6 +30,17 @@ def test_all_scores_of_an_angle_are_wrapped():
     for name in ("err", "err_forecast", "err_free"):
         assert found[name] == pytest.approx(missed / 0.1 * 100.0)
     assert found["spread"] == 0.0
+
+
+@pytest.mark.parametrize("scale", [1000.0, 0.001])
+def test_the_error_of_a_positive_number_is_a_share_of_the_truth_in_any_units(scale):
+    rates = StateSpace([Variable("rate", 2, POSITIVE), Variable("level", 1)])
+    truth = np.array([scale, 2.0 * scale, 5.0])
+    twice = Ensemble([[2.0 * scale, 4.0 * scale, 0.0]] * 2, rates)
+    found = scores(rates, truth, twice, twice, twice)
+    assert [found[name] for name in ("err", "err_forecast", "err_free")] == pytest.approx([100.0] * 3)
+    assert error_of(rates, truth, twice.mean) == pytest.approx(100.0)
+    assert found["rmse"] == pytest.approx(np.log(2.0)) and found["spread"] == 0.0
 
 
 LEVEL = StateSpace([Variable("level", 1)])

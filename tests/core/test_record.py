@@ -8,9 +8,20 @@ import netCDF4
 import numpy as np
 import pytest
 import xarray
-from toys import AIRSPACE, Growth, toy_parts
+from toys import AIRSPACE, NODES, Growth, toy_parts
 
-from dafw import ContractError, Domain, RunError, Selection, StateSpace, Variable, Vehicle, open_run
+from dafw import (
+    NONNEGATIVE,
+    POSITIVE,
+    ContractError,
+    Domain,
+    RunError,
+    Selection,
+    StateSpace,
+    Variable,
+    Vehicle,
+    open_run,
+)
 from dafw.core import record as recording
 from dafw.core.checkpoints.journal import Journal, entries
 from dafw.core.cycle import advance, start
@@ -100,6 +111,16 @@ def test_fields_share_a_dimension_only_where_they_share_their_places(tmp_path):
         assert run["heat_mean"].dims == ("time", "node_heat") and run["few_mean"].dims == ("time", "node_few")
         assert run["heat_mean"].attrs["coordinates"] == "node_heat_x node_heat_y"
         assert "mesh" not in run["gas_mean"].attrs and "coordinates" not in run["few_mean"].attrs
+
+
+def test_error_and_spread_of_a_positive_variable_have_no_units(tmp_path):
+    for kind, units in ((POSITIVE, "1"), (NONNEGATIVE, "g s-1")):
+        space = StateSpace([Variable("gas", 4, kind, "g s-1", NODES)])
+        parts = toy_parts(**{role: Still(space=space) for role in ("model", "truth", "free")})
+        record, _ = record_run(tmp_path / f"{kind.value}.nc", parts, members=())
+        record.close()
+        with open_run(tmp_path / f"{kind.value}.nc") as run:
+            assert [run[name].attrs["units"] for name in ("rmse", "spread", "gas_mean")] == [units, units, "g s-1"]
 
 
 def test_it_opens_while_it_is_written(tmp_path):

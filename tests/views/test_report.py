@@ -96,6 +96,14 @@ def test_the_band_of_a_positive_number_is_that_of_its_logarithm(plant_run):
     assert (low > 0.0).all() and chart["log"]
 
 
+def test_error_and_spread_of_a_positive_number_have_no_units(plant_run):
+    plain = plant_run.assign(spread=plant_run["err"])
+    run = plain.copy(deep=True)
+    run["concentration_mean"].attrs["comment"] = "positive: means are geometric, spreads are of the natural logarithm"
+    units = [chart["units"] for one in (plain, run) for chart in curves_of(one) if chart["id"] == "rmse"]
+    assert units == ["kg m⁻³", ""]
+
+
 def test_a_surprise_counts_both_errors(plant_run):
     found = readings_of(plant_run)
     row, entry = found["row"][3], 0

@@ -5,7 +5,7 @@ The CRPS of members x_i with weights w_i against a truth y is
     sum_i w_i d(x_i, y) - 1/2 sum_ij w_i w_j d(x_i, x_j)
 
 with the distance d = |x - y|; for angles the shorter way round (Grimit et al. 2006, doi:10.1256/qj.05.235), for
-positive variables |log x - log y|, as in all their errors.
+positive variables |log x - log y|, as in their root mean square. ERR compares positive numbers as they are.
 """
 
 from __future__ import annotations

@@ -69,6 +69,14 @@ def test_an_error_of_an_angle_goes_the_short_way_round():
     np.testing.assert_allclose(run.dafw.rmse("v"), 0.2)
 
 
+def test_err_of_a_positive_number_is_a_share_of_the_truth():
+    run = square(members={"v": (np.ones((ROWS, 2)), POSITIVE, np.full(ROWS, 0.001))})
+    run["v_mean"][:] = 0.003
+    np.testing.assert_allclose(run.dafw.err("v"), 200.0)
+    np.testing.assert_allclose(run.dafw.rmse("v"), np.log(3.0))
+    assert run.dafw.rmse("v").attrs["units"] == "1"
+
+
 def test_the_recorded_err_is_given_where_it_is_recorded():
     run = square({"gas_mean": X, "gas_spread": X, "gas_truth": X})
     run["err"] = ("time", [5.0, 6.0, 7.0])
