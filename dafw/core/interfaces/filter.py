@@ -86,7 +86,8 @@ class Filter(Plugin):
     def unfinished(self, memory: Memory | None) -> bool:
         """Return whether a filter that looks back wants to be called in a cycle although that has no new readings.
 
-        ``memory`` is what its last analysis returned. A filter may have stopped there because its time was up.
+        ``memory`` is what its last analysis returned. A filter may have stopped there because its time was up, or may
+        have put readings off until a later cycle.
         """
         return False
 

@@ -54,6 +54,7 @@ from dafw.plugins.filters.likelihood import Likelihood
 from dafw.plugins.filters.linearised import can_linearise, linearised
 from dafw.plugins.filters.shown import members_drawn
 from dafw.plugins.filters.slow_sensors import as_shown, response_seen
+from dafw.plugins.filters.waiting import marked, unmarked, waits
 from dafw.plugins.filters.weights import clipped, effective_size, n_moments, normalized, without_repeats
 
 HOPELESS = 30.0
@@ -101,17 +102,14 @@ class AMIS(Filter):
 
     def unfinished(self, memory: Memory | None) -> bool:
         """Return whether weights were left degenerate, or readings unexplained, or not looked at."""
-        return memory is not None and bool(memory.get("unfinished", False))
+        return waits(memory) or (memory is not None and bool(memory.get("unfinished", False)))
 
     def analyse_window(self, window: Window, rng: np.random.Generator) -> Analysis:
         """Return members drawn from the weighted samples."""
         number, ensemble = window.cycles[-1].number, window.forecast.ensemble
         if (number + 1) % self.every:
-            memory = window.memory
-            if memory is not None and (window.observation.values.size or window.late):
-                memory = {**memory, "unfinished": np.array(True)}
-            return Analysis(ensemble.members, memory, weights=ensemble.weights)
-        size = len(ensemble)
+            return Analysis(ensemble.members, marked(window.memory, window), weights=ensemble.weights)
+        window, size = replace(window, memory=unmarked(window.memory)), len(ensemble)
         controls = Controls(ensemble.space, self.estimate).left_open(window.first.ensemble.members)
         samples, kernels = self._known(window, controls)
         cost = size * len(window.cycles)

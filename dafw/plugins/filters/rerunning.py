@@ -30,7 +30,7 @@ from typing import ClassVar
 import numpy as np
 
 from dafw.core.covariances import whiten
-from dafw.core.ensemble import Analysis, Diagnostic, Forecast
+from dafw.core.ensemble import Analysis, Diagnostic, Forecast, Memory
 from dafw.core.errors import ConfigurationError, DivergenceError, SolverError
 from dafw.core.interfaces import Filter
 from dafw.core.options import option
@@ -39,6 +39,7 @@ from dafw.core.space import Array, IntArray, StateSpace
 from dafw.core.window import Window
 from dafw.plugins.filters.compared import Compared, Comparison, compared, counted, recalled, remembered
 from dafw.plugins.filters.controls import Controls
+from dafw.plugins.filters.waiting import marked, unmarked, waits
 
 HALVINGS = 4
 LAST_TRY = 2 * HALVINGS + 2
@@ -120,18 +121,23 @@ class Rerunning(Filter):
         """Return the last re-run of an analysis, whose members at its end are the belief."""
         raise NotImplementedError(f"{self.label} must define moved_start(work, rng)")
 
+    def unfinished(self, memory: Memory | None) -> bool:
+        """Return whether readings wait for the next analysis."""
+        return waits(memory)
+
     def analyse_window(self, window: Window, rng: np.random.Generator) -> Analysis:
         """Return the analysis if one is due, otherwise the forecast."""
         if window.first.ensemble.weights is not None or window.forecast.ensemble.weights is not None:
             raise ConfigurationError(f"{self.label}: expected members that count equally, got members with weights")
         readings, space = counted(window), window.forecast.ensemble.space
-        used = recalled(window.memory, "used") if self.uses_new_only else {}
-        before = recalled(window.memory, "readings")
+        known = unmarked(window.memory)
+        used = recalled(known, "used") if self.uses_new_only else {}
+        before = recalled(known, "readings")
         missed = sum(before[cycle] - used.get(cycle, 0) for cycle in before if cycle not in readings)
         seen = {"readings_missed": Diagnostic(missed, long_name="readings that left the window unused")}
         if not self._due(window, readings, used):
             members = space.retract(window.forecast.ensemble.members, np.zeros(space.size))
-            return Analysis(members, self._memory(readings, used), seen)
+            return Analysis(members, marked(self._memory(readings, used), window), seen)
         comparison = Comparison(self.transform == "log", self.floor, self.model_error, self.relative_model_error)
         work = Work(self, window, compared(window, comparison, used))
         run = self.moved_start(work, rng)
@@ -152,7 +158,7 @@ class Rerunning(Filter):
         first = window.cycles[0].number
         return len(window.cycles) == self.window and readings[first] > used.get(first, 0)
 
-    def _memory(self, readings: Mapping[int, int], used: Mapping[int, int]) -> Mapping[str, Array] | None:
+    def _memory(self, readings: Mapping[int, int], used: Mapping[int, int]) -> Memory | None:
         return remembered(readings, used) if self.uses_new_only else None
 
     def _concluded(

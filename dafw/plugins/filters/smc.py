@@ -35,7 +35,7 @@ from typing import Any
 
 import numpy as np
 
-from dafw.core.ensemble import Analysis, Diagnostic
+from dafw.core.ensemble import Analysis, Diagnostic, Memory
 from dafw.core.interfaces import Filter
 from dafw.core.options import option
 from dafw.core.space import Array, IntArray, StateSpace
@@ -44,6 +44,7 @@ from dafw.plugins.filters.candidates import Candidates, first_candidates, log_pr
 from dafw.plugins.filters.controls import Controls
 from dafw.plugins.filters.likelihood import Likelihood
 from dafw.plugins.filters.slow_sensors import response_seen
+from dafw.plugins.filters.waiting import marked, unmarked, waits
 from dafw.plugins.filters.weights import effective_size, normalized, systematic
 
 POWERS = np.append(0.0, np.geomspace(1e-6, 1.0, 200))
@@ -89,11 +90,16 @@ class SMC(Filter):
         """Raise ConfigurationError for control variables that the state does not have."""
         Controls(space, self.estimate)
 
+    def unfinished(self, memory: Memory | None) -> bool:
+        """Return whether readings wait for the next analysis."""
+        return waits(memory)
+
     def analyse_window(self, window: Window, rng: np.random.Generator) -> Analysis:
         """Return the members with weights, moved where the weights are degenerate."""
         number, ensemble = window.cycles[-1].number, window.forecast.ensemble
         if (number + 1) % self.every:
-            return Analysis(ensemble.members, window.memory, weights=ensemble.weights)
+            return Analysis(ensemble.members, marked(window.memory, window), weights=ensemble.weights)
+        window = replace(window, memory=unmarked(window.memory))
         size, n_cycles = len(ensemble), len(window.cycles)
         moves = Moves(self, window, rng)
         members = self._known(window, moves.controls, size, rng)

@@ -30,6 +30,7 @@ from dafw.plugins.filters.esmda import ESMDA
 from dafw.plugins.filters.ienks import IEnKS
 from dafw.plugins.filters.rerunning import reached
 from dafw.plugins.filters.restart_enkf import RestartEnKF
+from dafw.testing import CHECKS, run_check
 
 ALL = [ESMDA(), ESMDA(window=3), IEnKS(), IEnKS(window=3), IEnKS(variant="bundle"), RestartEnKF()]
 NAMES = ["esmda", "esmda-window", "ienks", "ienks-window", "ienks-bundle", "restart_enkf"]
@@ -167,22 +168,45 @@ def test_each_analysis_uses_the_readings_it_should(filter_, used):
             np.testing.assert_array_equal(cycle.belief.members, cycle.forecast.members)
 
 
-def silent_cycles(filter_, silent):
-    return cycles_of(Decay(), filter_, listed(AMOUNTS, 0.02, silent), 6, 10)
+def used_of(filter_, silent, late=(), arrives=0.0):
+    """Return how many readings the analysis of each cycle used; that of the cycle ``late`` came at the time given."""
+    readings = listed(AMOUNTS, 0.02, silent)
+    for one in readings.readings:
+        if one["time"] - 1.0 in late:
+            one["arrives"] = arrives
+    cycles = cycles_of(Decay(), filter_, readings, 6, 10)
+    assert sum(reported(cycle, "readings_missed") or 0 for cycle in cycles) == 0
+    return [reported(cycle, "readings_used") for cycle in cycles]
+
+
+@pytest.mark.parametrize(
+    ("filter_", "silent", "used"),
+    [
+        (ESMDA(every=2), (1, 3, 5), [None, 1, None, 2, None, 3]),
+        (IEnKS(every=3), (1, 2, 3, 5), [None, None, 1, None, None, 2]),
+        (IEnKS(window=4, every=2), (1, 3, 5), [None, 1, None, 1, None, 1]),
+        (ESMDA(window=3, every=3), (1, 2, 4, 5), [None, None, 1, None, None, 1]),
+        (RestartEnKF(every=2), (1, 3), [None, 1, None, 1, None, 2]),
+        (RestartEnKF(readings="all", every=2), (1, 2, 3), [None, 1, None, None, None, 3]),
+    ],
+    ids=["esmda", "ienks", "ienks-window", "esmda-window", "restart", "restart-all"],
+)
+def test_readings_are_used_though_nothing_is_read_in_the_cycles_of_analyses(filter_, silent, used):
+    """Those of observers come at the ends of cycles 0, S, 2 S, ...; analyses are due in cycles S - 1, 2 S - 1, ..."""
+    assert used_of(filter_, silent) == used
 
 
 def test_a_reading_about_to_leave_the_window_is_used_before_its_time():
-    # The analyses due after cycles 1 and 3 (counted from 0) find nothing read. Cycle 0 would leave after cycle 2.
-    found = [reported(cycle, "readings_used") for cycle in silent_cycles(RestartEnKF(every=2), (1, 3))]
-    assert found == [None, None, None, None, None, 4]  # to the start: nothing leaves
-    found = [reported(cycle, "readings_used") for cycle in silent_cycles(IEnKS(window=3, every=2), (1, 3))]
-    assert found == [None, None, 2, None, None, 2]
+    # Analyses are due in cycles 2 and 5. The reading of cycle 1 comes in cycle 3, and leaves after cycle 3, or after 4.
+    assert used_of(RestartEnKF(every=3), (), {1}, 4.0) == [None, None, 2, None, None, 4]  # to the start: nothing leaves
+    assert used_of(IEnKS(window=3, every=3), (), {1}, 4.0) == [None, None, 2, 2, None, 2]
+    assert used_of(IEnKS(window=4, every=3), (4,), {1}, 4.0) == [None, None, 2, None, 2, 1]
 
 
-def test_a_reading_that_left_the_window_in_silence_is_reported():
-    cycles = silent_cycles(IEnKS(window=2, every=2), (1, 2, 3))
-    assert [reported(cycle, "readings_missed") for cycle in cycles] == [0, None, None, None, 1, 0]
-    assert reported(cycles[-1], "readings_used") == 2
+@pytest.mark.parametrize("filter_", [ESMDA(every=3), RestartEnKF(every=3), IEnKS(window=4, every=3)])
+def test_a_run_that_is_cut_off_while_readings_wait_goes_on_with_the_same_bits(filter_):
+    outcome = run_check(CHECKS["filter"]["restart"], lambda: filter_)
+    assert outcome.status == "passed", outcome.detail
 
 
 # Which controls ----------------------------------------------------------------------------------------------------

@@ -28,6 +28,7 @@ from dafw.plugins.filters.likelihood import Likelihood
 from dafw.plugins.filters.smc import POWERS, SMC, next_power, resampled
 from dafw.plugins.filters.weights import effective_size, normalized
 from dafw.plugins.readings.listed import Listed
+from dafw.testing import CHECKS, run_check
 
 SEEDS = 40
 LIMIT, RUNS = 0.7, 12
@@ -157,6 +158,29 @@ def test_a_reading_that_comes_late_between_two_analyses_is_used_in_the_next(make
     study = level_study(make(every=4))
     study.readings.readings[1]["arrives"] = 6.0  # taken in the second cycle; the analyses are in the fourth and eighth
     require_all_judged(last_cycle(study), range(T))
+
+
+@SAMPLERS
+@pytest.mark.parametrize(("every", "seen"), [(2, [0, 2, 4, 6]), (4, [0, 5])], ids=str)
+def test_readings_are_used_though_nothing_is_read_in_the_cycles_of_analyses(make, every, seen):
+    """Those of observers come at the ends of cycles 0, S, 2 S, ...; analyses are due in cycles S - 1, 2 S - 1, ..."""
+    last = last_cycle(level_study(make(every=every), silent=set(range(T)) - set(seen)))
+    require_all_judged(last, seen)
+
+
+@SAMPLERS
+def test_a_first_reading_that_comes_late_and_between_analyses_is_used(make):
+    study = level_study(make(every=4), silent={1, 2, 3, 4, 6, 7})
+    study.readings.readings[0]["arrives"] = 2.0
+    third, fourth, *_, last = list(study)[2:]
+    assert not third.analysis.diagnostics and fourth.analysis.diagnostics
+    require_all_judged(last, [0, 5])
+
+
+@pytest.mark.parametrize("kind", [AMIS, SMC])
+def test_a_run_that_is_cut_off_while_readings_wait_goes_on_with_the_same_bits(kind):
+    outcome = run_check(CHECKS["filter"]["restart"], lambda: kind(**kind.check_options(), every=3))
+    assert outcome.status == "passed", outcome.detail
 
 
 @SAMPLERS
