@@ -29,7 +29,6 @@ import numpy as np
 
 from dafw.core.ensemble import Diagnostic
 from dafw.core.errors import ConfigurationError
-from dafw.core.observation import below_limit
 from dafw.core.options import option
 from dafw.core.space import Array
 
@@ -180,14 +179,18 @@ class Likelihood:
 
         ends = np.full(len(values), np.nan) if limits is None else limits
         if (own := ~np.isnan(ends)).any() and covariance.ndim == 1:
-            added = below_limit(ends[own], np.zeros(own.sum()))[1]
+            # The value stands midway between the limit and what the sensor calls zero, with the variance that any
+            # place between the two has (``below_limit``): that is taken off again, because the chance says it.
+            added = (ends[own] - values[own]) ** 2 / 3.0
             covariance = covariance.copy()
             covariance[own] = np.maximum(covariance[own] - added, SMALLEST_SHARE * covariance[own])
         if self.detection_limit is not None:
             ends = np.where(~own & (values < self.detection_limit), self.detection_limit, ends)
+        below = ~np.isnan(ends)
         missed = values - predicted
         absolute, relative = self.sizes.T[:, :, np.newaxis, np.newaxis]
-        of_model = _of_model(absolute, relative, predicted, values)  # (S, N, m)
+        # Of a reading below a limit the limit is known, not the value.
+        of_model = _of_model(absolute, relative, predicted, np.where(below, ends, values))  # (S, N, m)
         if covariance.ndim == 1:
             scale = np.sqrt(covariance + of_model)
             misfit = missed / scale
@@ -202,7 +205,7 @@ class Likelihood:
         else:
             constant = gammaln(0.5 * (degrees + 1.0)) - gammaln(0.5 * degrees) - 0.5 * np.log(degrees * np.pi)
             density = constant - np.log(scale) - 0.5 * (degrees + 1.0) * np.log1p(misfit**2 / degrees)
-        if (below := ~np.isnan(ends)).any():
+        if below.any():
             if covariance.ndim == 2:
                 raise ConfigurationError("a detection limit needs readings whose errors are not correlated")
             density = np.where(below, self._log_chance(np.where(below, ends, 0.0) - predicted, scale), density)
@@ -226,7 +229,8 @@ class Likelihood:
         """
         absolute, relative = self.sizes[np.argmax(fit) % len(self.sizes)]
         of_reading = covariance if covariance.ndim == 1 else np.diagonal(covariance)
-        return np.asarray(of_reading + _of_model(absolute, relative, predicted, values))
+        known = values if self.detection_limit is None else np.maximum(values, self.detection_limit)
+        return np.asarray(of_reading + _of_model(absolute, relative, predicted, known))
 
     def pull(self, misfit: Array) -> Array:
         """Return the weights (m,) with which least squares fit the readings, of their squared misfits over s^2 (m,).

@@ -1,5 +1,7 @@
 """The likelihood of readings against scipy's distributions and numerical quadrature."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import quad
@@ -74,12 +76,12 @@ def test_the_density_of_a_reading_integrates_to_one(degrees):
 
 @pytest.mark.parametrize("degrees", [None, 4.0])
 def test_a_reading_below_the_limit_says_only_that_it_is_below(degrees):
-    likelihood = Likelihood([0.1], [0.0], degrees, 0.5, detection_limit=0.5)
-    sd = np.sqrt(R + 0.1**2)
+    likelihood = Likelihood([0.1], [0.3], degrees, 0.5, detection_limit=0.5)
+    sd = np.sqrt(R + 0.1**2 + (0.3 * np.maximum(abs(PREDICTED), [0.5, 0.5, 2.0])) ** 2)
     errors = norm if degrees is None else t(degrees)
     found = likelihood.log_density(PREDICTED, VALUES, R)[:, 0]
-    expected = errors.logcdf((0.5 - PREDICTED[:, :2]) / sd[:2]).sum(axis=1)
-    expected = expected + errors.logpdf((2.0 - PREDICTED[:, 2]) / sd[2]) - np.log(sd[2])
+    expected = errors.logcdf((0.5 - PREDICTED[:, :2]) / sd[:, :2]).sum(axis=1)
+    expected = expected + errors.logpdf((2.0 - PREDICTED[:, 2]) / sd[:, 2]) - np.log(sd[:, 2])
     np.testing.assert_allclose(found, 0.5 * expected, rtol=1e-10)
     other = likelihood.log_density(PREDICTED, np.array([-7.0, 0.49, 2.0]), R)[:, 0]
     np.testing.assert_array_equal(found, other)
@@ -93,10 +95,19 @@ def test_a_reading_may_have_a_limit_of_its_own(degrees):
     values = np.where(np.isnan(limits), VALUES, middle)
     likelihood = Likelihood([0.1], [0.2], degrees, detection_limit=-0.5)
     found = likelihood.log_density(PREDICTED, values, np.where(np.isnan(limits), R, variances), limits)[:, 0]
-    sd = np.sqrt(R + 0.1**2 + (0.2 * np.maximum(abs(PREDICTED), abs(values))) ** 2)
+    ends = np.array([0.8, -0.5, 3.0])
+    sd = np.sqrt(R + 0.1**2 + (0.2 * np.maximum(abs(PREDICTED), abs(ends))) ** 2)
     errors = norm if degrees is None else t(degrees)
-    expected = errors.logcdf((np.array([0.8, -0.5, 3.0]) - PREDICTED) / sd).sum(axis=1)
+    expected = errors.logcdf((ends - PREDICTED) / sd).sum(axis=1)
     np.testing.assert_allclose(found, expected, rtol=1e-10)
+    # What counts is how far the limit is from the sensor's zero, wherever that is, as with degrees.
+    absolute = Likelihood([0.1], [0.0], degrees, detection_limit=-0.5)
+    shifted = replace(absolute, detection_limit=272.65)
+    np.testing.assert_allclose(
+        absolute.log_density(PREDICTED, values, variances, limits),
+        shifted.log_density(PREDICTED + 273.15, values + 273.15, variances, limits + 273.15),
+        rtol=1e-9,
+    )
 
 
 def test_a_hopeless_prediction_below_the_limit_stays_finite():
