@@ -10,6 +10,9 @@ and their weights. A member whose numbers are those of a member of the forecast 
 start with the model itself. In between, the model carries the belief on. So the many runs of the search are cheap, and
 those of the model itself are few.
 
+A member that the model itself cannot run has no weight. The others share it in proportion to theirs, and a copy of the
+heaviest stands in its place. If the model can run none of the members, its error ends the study.
+
 The numbers without places must be parameters that a run of the model does not change. If the two state spaces agree,
 the base's members are the belief as they are.
 """
@@ -21,14 +24,15 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dafw.core.ensemble import Analysis, Diagnostic, Ensemble, Forecast, Memory
-from dafw.core.errors import ConfigurationError
+from dafw.core.errors import ConfigurationError, DivergenceError, SolverError
 from dafw.core.interfaces import Filter
 from dafw.core.observation import Observation
 from dafw.core.options import option
 from dafw.core.registry import registry
-from dafw.core.space import IntArray, StateSpace
+from dafw.core.space import Array, IntArray, StateSpace
 from dafw.core.window import Window
 from dafw.plugins.filters.candidates import joined_forecasts, rows
 from dafw.plugins.filters.wrapped import BASE, MODEL, part_of
@@ -91,17 +95,18 @@ class CoarseSearch(Filter):
         kept |= {f"{BASE}{name}": array for name, array in (found.memory or {}).items()}
         kept |= {f"{MODEL}{name}": array for name, array in (coarse_memory or {}).items()}
         kept["waiting"] = np.array((number + 1) % self.renew != 0)
-        renewed, belief, weights = 0, window.forecast, window.forecast.ensemble.weights
+        renewed, failed, belief, weights = 0, 0, window.forecast, window.forecast.ensemble.weights
         if (number + 1) % self.renew == 0:
             if window.rerun.view_of_coarser is None:
                 belief = Forecast(coarse, coarse_memory)
             else:
-                belief, renewed = _run_with_model(window, coarse)
-            weights = found.weights
+                belief, renewed, failed = _run_with_model(window, coarse)
+            weights = belief.ensemble.weights
         space = belief.ensemble.space
         members = space.retract(belief.ensemble.members, np.zeros(space.size))
         diagnostics = dict(found.diagnostics)
         diagnostics["renewed"] = Diagnostic(renewed, long_name="members that the model itself ran from the start")
+        diagnostics["renewals_failed"] = Diagnostic(failed, long_name="members that the model itself could not run")
         return Analysis(members, kept, diagnostics, weights, model_memory=belief.memory)
 
     def _coarse(self, window: Window) -> Window:
@@ -142,21 +147,57 @@ def _numbers(space: StateSpace) -> IntArray:
     return np.concatenate([np.empty(0, np.int64), *(np.r_[space.slice(name)] for name in named)])
 
 
-def _run_with_model(window: Window, coarse: Ensemble) -> tuple[Forecast, int]:
-    """Return the members with the numbers of coarse ones, now, and how many of them were run from the start."""
+def _run_with_model(window: Window, coarse: Ensemble) -> tuple[Forecast, int, int]:
+    """Return the members with the numbers of coarse ones, now, and with their weights.
+
+    Also how many of them were run from the start, and for how many the model failed; a copy of the heaviest stands for
+    each of these. Raises the model's SolverError or DivergenceError if none is left.
+    """
     forecast, first = window.forecast, window.first.ensemble
     wanted, places = coarse.members[:, _numbers(coarse.space)], _numbers(first.space)
     there = {row.tobytes(): index for index, row in enumerate(forecast.ensemble.members[:, places])}
+    some_are_there = any(row.tobytes() in there for row in wanted)
     missing: dict[bytes, int] = {}
     for index, row in enumerate(wanted):
         if row.tobytes() not in there:
             missing.setdefault(row.tobytes(), index)
+    renewed = 0
     if missing:
         new = list(missing.values())
         starts = first.members[new].copy()
         starts[:, places] = wanted[new]
-        start = first.with_members(window.rerun.settled_members(starts))
-        run = window.rerun(start, window.cycles[0].number, window.cycles[-1].number + 1).forecast
-        there |= {row: len(forecast.ensemble) + index for index, row in enumerate(missing)}
-        forecast = joined_forecasts(forecast, run)
-    return rows(forecast, np.array([there[row.tobytes()] for row in wanted])), len(missing)
+        run, kept = _run_from_start(window, window.rerun.settled_members(starts), may_fail=some_are_there)
+        if run is not None:
+            there |= {wanted[new[one]].tobytes(): len(forecast.ensemble) + place for place, one in enumerate(kept)}
+            forecast = joined_forecasts(forecast, run)
+        renewed = len(kept)
+    ran, weights = np.array([row.tobytes() in there for row in wanted]), coarse.weights
+    if not ran.all():
+        weights = _weights_of(ran, weights)
+        wanted = np.where(ran[:, np.newaxis], wanted, wanted[np.argmax(weights)])
+    belief = rows(forecast, np.array([there[row.tobytes()] for row in wanted]))
+    return belief.with_members(belief.ensemble.members, weights), renewed, int(np.count_nonzero(~ran))
+
+
+def _run_from_start(window: Window, starts: Array, *, may_fail: bool) -> tuple[Forecast | None, IntArray]:
+    """Return the members at ``starts`` (M, n) run to now without those for which the model fails, and their indices.
+
+    If it fails for all, return None, or raise the error of the last unless they ``may_fail``.
+    """
+    kept: IntArray = np.arange(len(starts))
+    while len(kept):
+        start = window.first.ensemble.with_members(starts[kept])
+        try:
+            return window.rerun(start, window.cycles[0].number, window.cycles[-1].number + 1).forecast, kept
+        except (SolverError, DivergenceError) as error:
+            if error.member is None or (len(kept) == 1 and not may_fail):
+                raise
+            kept = np.delete(kept, error.member)
+    return None, kept
+
+
+def _weights_of(ran: NDArray[np.bool_], weights: Array | None) -> Array:
+    """Return weights (N,) with which averages are over the members that ``ran`` (N,); None: all counted equally."""
+    shares = np.where(ran, 1.0 if weights is None else weights, 0.0)
+    shares = shares if shares.any() else ran.astype(np.float64)
+    return np.asarray(shares / shares.sum())

@@ -8,7 +8,7 @@ from levels import Levels, level_study
 
 from dafw import Model, StateSpace, Study, Variable
 from dafw.core.composition import compose, study_part
-from dafw.core.errors import ConfigurationError
+from dafw.core.errors import ConfigurationError, SolverError, about_member
 from dafw.core.interpolation import view
 from dafw.core.observation import Interpolation, Selection
 from dafw.core.options import merged
@@ -71,7 +71,7 @@ class Hump(Model):
         return self._coarser
 
 
-def hump_study(model, cycles=8, **options):
+def hump_study(model, cycles=8, base=SMALL_AMIS, **options):
     def height(x, t):
         return TRUE["amount"] * np.exp(-(((x - 20.0 - TRUE["speed"] * t) / 10.0) ** 2))
 
@@ -80,7 +80,7 @@ def hump_study(model, cycles=8, **options):
         for t in np.arange(1.0, cycles + 1.0)
         for entry in (24, 40, 52)
     ]
-    filter_ = CoarseSearch(base=SMALL_AMIS, **options)
+    filter_ = CoarseSearch(base=base, **options)
     return Study(model=model, filter=filter_, readings=Listed(readings=readings), members=10, cycles=cycles, seed=3)
 
 
@@ -139,6 +139,73 @@ def test_only_new_members_are_run_with_the_model_itself():
     assert model.coarser().steps > 2 * model.steps, "the search is made with the coarser version"
     late = cycles[-1].analysis.diagnostics["renewed"].values
     assert late < 10, "members that the forecast has are not run again"
+
+
+# Members that the model itself cannot run ----------------------------------------------------------------------------
+
+
+@dataclass
+class Weak(Hump):
+    """A hump that cannot be stepped at speeds above ``limit``; its coarser version can."""
+
+    limit: float = np.inf
+    names_member: bool = True
+
+    def initial(self, n_members, rng):
+        members = super().initial(n_members, rng)
+        speed = self.space.slice("speed")
+        members[:, speed] = np.minimum(members[:, speed], 0.9 * self.limit)
+        return self.settled(members)
+
+    def step(self, members, t, rng):
+        for member in np.flatnonzero(members[:, self.space.slice("speed")][:, 0] > self.limit):
+            if not self.names_member:
+                raise SolverError("out of order")
+            with about_member(int(member)):
+                raise SolverError("the speed is too large")
+        return super().step(members, t, rng)
+
+
+WEIGHTED, EQUAL = SMALL_AMIS, {"name": "esmda", "estimate": ["amount", "speed"], "iterations": 1, "model_error": 0.4}
+
+
+@pytest.mark.parametrize("base", [WEIGHTED, EQUAL], ids=["amis", "esmda"])
+def test_a_member_that_the_model_itself_cannot_run_has_no_weight(base):
+    """The belief is what was found without it, and the heaviest of the others stands in its place."""
+    study, found = hump_study(Weak(limit=3.95), renew=2, base=base, cycles=4), []
+    look_back = study.filter._base.look_back
+    study.filter._base.look_back = lambda *given: found.append(look_back(*given)) or found[-1]
+    failures = 0
+    for cycle in study:
+        if cycle.state.cycle % 2:
+            assert cycle.analysis.diagnostics["renewals_failed"].values == 0
+            continue
+        numbers = found[-1].members[:, -2:]  # amount and speed in the order of the coarser version: speed, amount
+        weights, shown = (np.full(10, 0.1) if one is None else one for one in (found[-1].weights, cycle.belief.weights))
+        ran = numbers[:, 0] <= 3.95
+        failures += np.count_nonzero(~ran)
+        assert cycle.analysis.diagnostics["renewals_failed"].values == np.count_nonzero(~ran)
+        expected = np.where(ran, weights, 0.0) / weights[ran].sum()
+        np.testing.assert_allclose(shown, expected, rtol=1e-12)
+        state = cycle.belief.space.unpack(cycle.belief.members)
+        shown = np.column_stack([state["speed"], state["amount"]])
+        np.testing.assert_array_equal(shown[ran], numbers[ran])
+        np.testing.assert_array_equal(shown[~ran], numbers[[np.argmax(expected)] * np.count_nonzero(~ran)])
+        np.testing.assert_array_equal(cycle.belief.members, Hump().at(cycle.belief.members, cycle.belief.time))
+    assert failures > 0
+
+
+def test_the_study_ends_if_the_model_itself_can_run_no_member_that_was_found():
+    with pytest.raises(SolverError, match="the speed is too large"):
+        list(hump_study(Weak(limit=2.0), renew=8))
+
+
+def test_an_error_of_the_model_itself_that_is_about_no_member_ends_the_study():
+    with pytest.raises(SolverError, match="out of order"):
+        list(hump_study(Weak(limit=3.95, names_member=False), renew=2))
+
+
+# What is refused -----------------------------------------------------------------------------------------------------
 
 
 def test_a_model_without_a_coarser_version_is_refused():
