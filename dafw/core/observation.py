@@ -25,9 +25,9 @@ class ObservationOperator:
     ``diagnostics`` are what an observer reports about the cycle, recorded under ``observer``. ``sensors`` (m) name the
     sensor that takes each reading, the same one in every cycle; the readings of a sensor stand in the order in which it
     takes them, at equal intervals. None: not told. ``limits`` (m,) are the detection limits of those readings that were
-    below theirs, NaN for all others; None: none was. The value of such a reading is midway between the sensor's zero and
-    its limit (``below_limit``), so that a filter need not know of limits. ``spans`` (m,) are the seconds, until a reading is taken, over which it is a
-    mean; a re-run predicts such means (spans.py). None: no reading is one.
+    below theirs, NaN for all others; None: none was. The value of such a reading is midway between the sensor's zero
+    and its limit (``below_limit``), so that a filter need not know of limits. ``spans`` (m,) are the seconds, until a
+    reading is taken, over which it is a mean; a re-run predicts such means (spans.py). None: no reading is one.
 
     Raises ConfigurationError for a covariance that is neither (m,) nor (m, m) or whose diagonal is not above zero, and
     if there are not m sensors, limits or spans.
