@@ -28,21 +28,18 @@ def open_run(path: str | Path, *, indexed: bool = True) -> xarray.Dataset:
     import xarray
 
     import dafw.core.accessor  # noqa: F401 - so that the Dataset has ``dafw``
-    from dafw.core.run_store import RunStore
+    from dafw.core.run_store import opened_store
 
     file = Path(path) / "run.nc" if Path(path).is_dir() else Path(path)
     if not file.is_file():
         raise RunError(f"{path}: holds no run (expected a run's folder or its run.nc)")
-    try:
+    with opened_store(file) as store:
         # Keep times and phases as plain numbers of seconds; xarray would convert them to timedelta.
-        store = RunStore.open(file)  # type: ignore[no-untyped-call]  # xarray states no types here
         found = xarray.open_dataset(store, decode_times=False, create_default_indexes=indexed)
-    except (OSError, ValueError) as error:
-        raise RunError(f"{file}: cannot be read as netCDF ({' '.join(str(error).split())})") from error
-    if "time" not in found.coords:
-        return found
-    written = found["time"].values < NO_TIME  # a row that is just being written may not have its time yet
-    return found if written.all() else found.isel(time=np.flatnonzero(written))
+        if "time" not in found.coords:
+            return found
+        written = found["time"].values < NO_TIME  # a row that is just being written may not have its time yet
+        return found if written.all() else found.isel(time=np.flatnonzero(written))
 
 
 def summary_of(folder: Path) -> dict[str, Any]:

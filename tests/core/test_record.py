@@ -3,6 +3,7 @@
 import gc
 import weakref
 from dataclasses import replace
+from pathlib import Path
 
 import netCDF4
 import numpy as np
@@ -341,6 +342,27 @@ def test_what_is_no_run_is_refused(tmp_path, content):
         (tmp_path / "run.nc").write_bytes(content)
     with pytest.raises(RunError):
         open_run(tmp_path)
+
+
+def still_open(folder):
+    """Return the files in a folder that this process has open."""
+    links = [link for link in Path("/proc/self/fd").iterdir() if link.exists()]
+    return [place for link in links if (place := link.readlink()).is_relative_to(folder)]
+
+
+def test_a_damaged_run_is_refused_and_not_left_open(tmp_path):
+    record_run(tmp_path / "run.nc", cycles=30)[0].close()
+    whole, opened = (tmp_path / "run.nc").read_bytes(), []
+    for place in range(0, 12_000, 256):
+        damaged = tmp_path / f"damaged{place}.nc"
+        damaged.write_bytes(whole[:place] + b"Z" * 64 + whole[place + 64 :])
+        try:
+            open_run(damaged).close()
+        except RunError as error:
+            assert str(damaged) in str(error)
+            if not isinstance(error.__cause__, OSError):  # what HDF5 cannot open at all, it may itself keep open
+                opened.append(damaged)
+    assert len(opened) > 5 and not set(opened) & set(still_open(tmp_path))
 
 
 @pytest.mark.parametrize("filter", [{}, {"filter": EnKS()}, {"filter": EnKS(window=1)}])

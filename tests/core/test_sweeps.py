@@ -6,12 +6,13 @@ import json
 import shutil
 from pathlib import Path
 
+import netCDF4
 import numpy as np
 import pytest
 import xarray
 
 import dafw
-from dafw import RunError, open_sweep
+from dafw import RunError, open_run, open_sweep
 from dafw.commands import main
 
 SMALL = ["experiment=lorenz96", "pictures=false", "cycles=2", "model.spinup=10", "model.size=6", "members=4"]
@@ -92,21 +93,38 @@ def test_a_run_that_was_never_begun_is_missing(mixed, tmp_path):
         assert int((sweep.status == "complete").sum()) == 7 and int(sweep["err"][..., 1:].isnull().sum()) == 2
 
 
+def tear(file):
+    """Damage a netCDF file so that HDF5 opens it, and then finds its variables unreadable."""
+    whole = file.read_bytes()
+    for place in range(0, len(whole) - 64, 64):
+        file.unlink()
+        file.write_bytes(whole[:place] + b"Z" * 64 + whole[place + 64 :])
+        try:
+            netCDF4.Dataset(file, keepweakref=True).close()
+        except RuntimeError:
+            return
+        except OSError:
+            continue
+
+
 def test_failed_and_unreadable_runs_are_tolerated(mixed, tmp_path):
     folder = copy_of(mixed, tmp_path)
-    failed, damaged, cut = sorted(folder.glob("*/"))[:3]
+    failed, damaged, cut, torn = sorted(folder.glob("*/"))[:4]
     summary = json.loads((failed / "summary.json").read_text())
     (failed / "summary.json").write_text(json.dumps(summary | {"status": "failed"}))
     (failed / "run.nc").unlink()
     (damaged / "run.nc").write_bytes(b"nothing")
     (damaged / "summary.json").write_text("{")
     (cut / "summary.json").write_text(json.dumps(summary | {"status": "interrupted"}))
+    tear(torn / "run.nc")
+    with pytest.raises(RunError, match="cannot be read as netCDF"):
+        open_run(torn)
     with open_sweep(folder) as sweep:
         at = {
             str(name): status for name, status in zip(sweep.folder.values.flat, sweep.status.values.flat, strict=True)
         }
         assert [at[run.name] for run in (failed, damaged, cut)] == ["failed", "failed", "interrupted"]
-        assert int(sweep["err"][..., -1].isnull().sum()) == 2
+        assert at[torn.name] == "complete" and int(sweep["err"][..., -1].isnull().sum()) == 3
 
 
 def test_a_multirun_that_left_no_run_has_its_statuses(mixed, tmp_path):

@@ -308,6 +308,20 @@ def test_what_holds_no_forecasts_is_refused(tmp_path):
         dafw.open_forecasts(tmp_path)
 
 
+def test_damaged_forecasts_are_refused_or_open(folder, tmp_path):
+    whole = (folder / "forecast.nc").read_bytes()
+    refused = 0
+    for place in range(0, len(whole) - 64, len(whole) // 150):
+        damaged = tmp_path / f"damaged{place}.nc"
+        damaged.write_bytes(whole[:place] + b"Z" * 64 + whole[place + 64 :])
+        try:
+            dafw.open_forecasts(damaged).close()
+        except RunError as error:
+            assert str(damaged) in str(error)
+            refused += 1
+    assert refused > 5
+
+
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "forecasts.md").read_text(encoding="utf-8")
 SITE = ("node_", "mesh2d", "obstacle", "landmark")
 """How the names of mesh and site begin; docs/run-file.md has them."""

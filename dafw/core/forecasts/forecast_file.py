@@ -279,14 +279,13 @@ def open_forecasts(path: str | Path) -> Any:
     """
     import xarray
 
+    from dafw.core.run_store import opened_store
+
     file = Path(path) / FILE if Path(path).is_dir() else Path(path)
     if not file.is_file():
         raise RunError(f"{path}: holds no forecasts (expected a run's folder with {FILE}, or that file)")
-    try:
-        found = xarray.open_dataset(file, engine="netcdf4", decode_times=False)
-    except (OSError, ValueError) as error:
-        raise RunError(f"{file}: cannot be read as netCDF ({' '.join(str(error).split())})") from error
-    if "issue" not in found.variables:  # a run is making the file just now, or it is another one
-        found.close()
-        raise RunError(f"{file}: holds no forecasts (expected the variable 'issue')")
-    return found.isel(issue=np.flatnonzero(found["issue"].values < NO_TIME))
+    with opened_store(file) as store:
+        found = xarray.open_dataset(store, decode_times=False)
+        if "issue" not in found.variables:  # a run is making the file just now, or it is another one
+            raise RunError(f"{file}: holds no forecasts (expected the variable 'issue')")
+        return found.isel(issue=np.flatnonzero(found["issue"].values < NO_TIME))
