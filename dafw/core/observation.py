@@ -79,6 +79,11 @@ class ObservationOperator:
         raise NotImplementedError(f"{type(self).__name__} must define apply(members)")
 
     @property
+    def entries(self) -> IntArray:
+        """The entries of the state of which readings are weighted sums; none if they are functions of another kind."""
+        return np.empty(0, dtype=np.int64)
+
+    @property
     def noise(self) -> Array:
         """The covariance of the noise that readings are drawn with: (m,) if diagonal, else (m, m)."""
         return self.covariance if self.noise_covariance is None else self.noise_covariance
@@ -89,6 +94,11 @@ class Selection(ObservationOperator):
     """H in {0, 1}: reads the entries ``indices`` (m,) of the state."""
 
     indices: IntArray
+
+    @property
+    def entries(self) -> IntArray:
+        """The selected entries."""
+        return self.indices
 
     def apply(self, members: Array) -> Array:
         """Return the selected columns (N, m)."""
@@ -102,6 +112,11 @@ class Interpolation(ObservationOperator):
     indices: IntArray
     weights: Array
 
+    @property
+    def entries(self) -> IntArray:
+        """The entries that have a weight."""
+        return np.asarray(self.indices[self.weights != 0.0])
+
     def apply(self, members: Array) -> Array:
         """Return the interpolated values (N, m)."""
         return np.asarray(np.einsum("imk,mk->im", members[:, self.indices], self.weights))
@@ -112,6 +127,11 @@ class Stacked(ObservationOperator):
     """Several operators, one below the other; their errors are independent of each other."""
 
     parts: tuple[ObservationOperator, ...]
+
+    @property
+    def entries(self) -> IntArray:
+        """The entries of all parts."""
+        return np.concatenate([part.entries for part in self.parts])
 
     def apply(self, members: Array) -> Array:
         """Return the parts' readings side by side (N, m)."""

@@ -142,7 +142,9 @@ class RunLayout:
             dtype = "f4" if dims else "f8"
             for stage, label in self._stages.items():
                 name, long_name = f"{variable.name}_{stage}", f"{title}, {label}"
-                self.define(name, ("time", *dims), dtype, variable.units, long_name, **attributes)
+                of_logarithm = variable.kind is Kind.POSITIVE and stage.endswith("spread")
+                units = "1" if of_logarithm else variable.units
+                self.define(name, ("time", *dims), dtype, units, long_name, **attributes)
             if variable.name in with_members:
                 name, long_name = f"{variable.name}_members", f"{title}, every member of the analysis"
                 self.define(name, ("time", "member", *dims), dtype, variable.units, long_name, **attributes)

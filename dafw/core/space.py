@@ -202,6 +202,13 @@ class StateSpace:
             moved[..., part] = _modulo(moved[..., part])
         return moved
 
+    def angle_among(self, entries: IntArray) -> str:
+        """Return the name of the first angle that is among ``entries`` (m,) of the state; '' if none is."""
+        for part in self._angles:
+            if ((entries >= part.start) & (entries < part.stop)).any():
+                return next(name for name, own in self._slices.items() if own == part)
+        return ""
+
     def excess(self, members: Array) -> float:
         """Return the largest of ``|x| / plausible`` in the members (..., n): above 1 they have diverged.
 

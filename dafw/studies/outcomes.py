@@ -176,18 +176,19 @@ def _add_parameter(add: Any, run: Dataset, name: str) -> None:
     """
     attributes = run[f"{name}_mean"].attrs
     units, label = str(attributes.get("units", "1")), name.replace("_", " ")
+    note = str(attributes.get("comment", ""))
+    kind = next((kind for kind in Kind if note.startswith(kind.value)), Kind.FIELD)
+    units_of_spread = "1" if kind is Kind.POSITIVE else units
     mean, spread = (float(run[f"{name}_{stage}"].values[-1]) for stage in ("mean", "spread"))
     add(f"final_{name}", mean, units, f"mean of {label} after the last cycle")
-    add(f"final_{name}_spread", spread, units, f"spread of {label} after the last cycle")
+    add(f"final_{name}_spread", spread, units_of_spread, f"spread of {label} after the last cycle")
     if f"{name}_truth" not in run.variables:
         return
     truth = float(run[f"{name}_truth"].values[-1])
-    note = str(attributes.get("comment", ""))
-    kind = next((kind for kind in Kind if note.startswith(kind.value)), Kind.FIELD)
     space = StateSpace([StateVariable(name, 1, kind)])
     off = float(space.difference(np.array([truth]), np.array([mean]))[0])
     add(f"final_{name}_truth", truth, units, f"truth of {label} after the last cycle")
-    add(f"final_{name}_off", -off, "1" if kind is Kind.POSITIVE else units, f"mean less truth of {label}")
+    add(f"final_{name}_off", -off, units_of_spread, f"mean less truth of {label}")
     known = np.isfinite(off) and np.isfinite(spread)
     inside = float(abs(off) <= NORMAL_90 * spread) if known else np.nan
     add(f"final_{name}_inside", inside, "1", f"whether the 90 % interval of {label} holds the truth")

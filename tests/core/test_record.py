@@ -121,7 +121,8 @@ def test_error_and_spread_of_a_positive_variable_have_no_units(tmp_path):
         record, _ = record_run(tmp_path / f"{kind.value}.nc", parts, members=())
         record.close()
         with open_run(tmp_path / f"{kind.value}.nc") as run:
-            assert [run[name].attrs["units"] for name in ("rmse", "spread", "gas_mean")] == [units, units, "g s-1"]
+            names = ("rmse", "spread", "gas_spread", "gas_forecast_spread")
+            assert [run[name].attrs["units"] for name in (*names, "gas_mean")] == [*[units] * 4, "g s-1"]
 
 
 def test_it_opens_while_it_is_written(tmp_path):

@@ -156,7 +156,11 @@ class Readings(Plugin):
         return Taken(self.take(request, rng))
 
     def collect(self, request: Request, memory: Memory | None, rng: np.random.Generator) -> Taken:
-        """Ask for readings and check that they are finite numbers and not from the future; raises ContractError."""
+        """Ask for readings and check that they are finite numbers and not from the future; raises ContractError.
+
+        Raises ConfigurationError for a reading of an angle: nothing that compares it with predictions knows that it
+        wraps.
+        """
         taken = self.take_with_memory(request, memory, rng)
         if not isinstance(taken, Taken):
             raise ContractError(f"{self.label}: expected observations, got {taken!r}")
@@ -165,6 +169,8 @@ class Readings(Plugin):
             if not isinstance(observation, Observation):
                 raise ContractError(f"{self.label}: expected observations, got {taken!r}")
             self.checked(observation.values, observation.values.shape, "readings")
+            if angle := request.space.angle_among(observation.operator.entries):
+                raise ConfigurationError(f"{self.label}: '{angle}' is an angle: expected readings of another variable")
             if observation.time > latest:
                 raise ContractError(
                     f"{self.label}: a reading of t = {observation.time:g} s was given in the cycle that ends at "

@@ -1,9 +1,11 @@
 """A list of readings: the keys that each must have, and the entry of the state to which it belongs."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from dafw import ConfigurationError, Domain, Model, Request, Selection, StateSpace, Study, Variable
+from dafw import ANGLE, ConfigurationError, Domain, Model, Request, Selection, StateSpace, Study, Variable
 from dafw.plugins.filters.etkf import ETKF
 from dafw.plugins.readings.listed import Listed
 
@@ -29,6 +31,13 @@ def test_a_variable_of_one_number_needs_no_entry():
     listed.suit(FIELD, GROUND, 1.0)
     (taken,) = listed.take(request(), None)
     np.testing.assert_array_equal(taken.operator.apply(np.array([[5.0, 6.0, 7.0, 8.0]])), [[8.0]])
+
+
+def test_a_reading_of_an_angle_is_refused_by_name():
+    space = StateSpace([Variable("gas", 3, coordinates=CORNERS), Variable("direction", 1, ANGLE)])
+    listed = Listed([{"time": 0.5, "value": 6.2}], variable="direction")
+    with pytest.raises(ConfigurationError, match="readings 'Listed': 'direction' is an angle: expected readings of"):
+        listed.collect(replace(request(), space=space), None, None)
 
 
 def test_a_reading_between_the_nodes_is_interpolated():

@@ -326,6 +326,12 @@ def test_a_slow_sensor_is_undone_exactly(tmp_path):
     assert collected(undone)[0].left_out == {"slow_start": 1}
 
 
+def test_what_a_slow_sensor_met_is_known_when_both_of_its_readings_are(tmp_path):
+    text = "time,x,y,value,sd,arrives\n1,0,0,1,1,\n2,0,0,2,1,9\n3,0,0,3,1,\n"
+    cycles = collected(recorded(tmp_path, text, response_time=1.0), cycles=9)
+    assert [[one.time for one in taken.observations] for taken in cycles] == [*[[]] * 8, [2.0, 3.0]]
+
+
 def test_the_errors_of_an_undone_sensor_are_as_large_as_they_are_said_to_be(tmp_path):
     rng = np.random.default_rng(2)
     lines = [f"{n + 1},0,0,{7.0 + 0.5 * rng.standard_normal()!r}" for n in range(1500)]

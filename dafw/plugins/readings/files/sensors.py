@@ -145,7 +145,8 @@ def undone_response(table: Table, sensors: Mapping[str, SensorOptions]) -> tuple
     are. Raises ReadingsError if a slow sensor has two readings at the same time.
     """
     value, sd, kept = table.number("value").copy(), table.number("sd").copy(), np.ones(len(table), dtype=bool)
-    names, time = table.text("sensor"), table.number("time")
+    names, time, known = table.text("sensor"), table.number("time"), _known(table)
+    arrives = known.copy()
     for name, options in sensors.items():
         if options.response_time == 0.0:
             continue
@@ -161,8 +162,11 @@ def undone_response(table: Table, sensors: Mapping[str, SensorOptions]) -> tuple
         shown, spread = table.number("value"), table.number("sd")
         value[after] = (shown[after] - a * shown[before]) / (1.0 - a)
         sd[after] = np.hypot(spread[after], a * spread[before]) / (1.0 - a)
+        arrives[after] = np.maximum(known[before], known[after])  # it takes both
         kept[rows[:1]] = False
-    return table.changed(value=value, sd=sd).chosen(kept), int((~kept).sum())
+    changed = table.changed(value=value, sd=sd)
+    changed = changed.changed(arrives=arrives) if "arrives" in table.numbers else changed
+    return changed.chosen(kept), int((~kept).sum())
 
 
 def censored(table: Table, sensors: Mapping[str, ErrorOptions]) -> tuple[Table, int]:
