@@ -7,28 +7,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dafw.core.interfaces.readings import Request
+from dafw.core.interfaces.readings import FORGIVEN, Request
 from dafw.core.observation import Observation, merged_observations
 from dafw.core.space import Array
 
 LATE_CHOICES = ("drop", "use")
-FORGIVEN = 1e-6
-"""Tolerance of reading times as a fraction of the time step: times of cycles are sums of rounded steps."""
 USES = ("on_time", "late_in_window", "late_used_now", "late_dropped", "before_start")
 """The ways in which a reading can be used or dropped."""
 NONE = dict.fromkeys(USES, 0)
-
-
-def arrived(arrives: Array, request: Request) -> NDArray[np.bool_]:
-    """Return which of the readings that arrive at given times (R,), in s, do so in the cycle that asks.
-
-    The first cycle includes earlier ones. A reading that a cycle is given may be later than its end by rounding.
-    """
-    slack = FORGIVEN * (request.end - request.start)
-    opened = -np.inf if request.cycle == 0 else request.start + slack
-    return (arrives > opened) & (arrives <= request.end + slack)
 
 
 @dataclass(frozen=True, eq=False)

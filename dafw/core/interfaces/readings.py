@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import ClassVar, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dafw.core.domain import Domain
 from dafw.core.ensemble import Ensemble, Memory
@@ -15,6 +16,9 @@ from dafw.core.errors import ConfigurationError, ContractError
 from dafw.core.observation import Observation, ObservationOperator
 from dafw.core.plugin import Plugin
 from dafw.core.space import Array, StateSpace
+
+FORGIVEN = 1e-6
+"""Tolerance of reading times as a fraction of the time step: times of cycles are sums of rounded steps."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +36,15 @@ class Request:
     domain: Domain | None
     operator: ObservationOperator
     truth: Ensemble | None = None
+
+    def arrived(self, times: Array) -> NDArray[np.bool_]:
+        """Return which of the readings that arrive at ``times`` (R,), in s, do so in this cycle, for every rounding.
+
+        The first cycle includes earlier ones. A reading of this cycle may be later than ``end`` by rounding.
+        """
+        slack = FORGIVEN * (self.end - self.start)
+        opened = -np.inf if self.cycle == 0 else self.start + slack
+        return (times > opened) & (times <= self.end + slack)
 
 
 @dataclass(frozen=True, eq=False)

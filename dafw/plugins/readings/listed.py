@@ -16,9 +16,8 @@ import numpy as np
 from dafw.core.domain import Domain
 from dafw.core.errors import ConfigurationError
 from dafw.core.interfaces import Readings
-from dafw.core.interfaces.readings import Request
+from dafw.core.interfaces.readings import FORGIVEN, Request
 from dafw.core.interpolation import weights_at
-from dafw.core.late import FORGIVEN, arrived
 from dafw.core.observation import Interpolation, Observation
 from dafw.core.options import option
 from dafw.core.space import Array, IntArray, StateSpace
@@ -122,7 +121,7 @@ class Listed(Readings):
     def take(self, request: Request, rng: np.random.Generator) -> Sequence[Observation]:
         """Return an observation for each reading that arrived in this cycle; the first cycle includes earlier ones."""
         arrives = np.array([r.get("arrives", r["time"]) for r in self.readings], dtype=np.float64)
-        due = [self.readings[row] for row in np.flatnonzero(arrived(arrives, request))]
+        due = [self.readings[row] for row in np.flatnonzero(request.arrived(arrives))]
         indices, weights = self._entries(due, request.space, request.domain)
         taken = []
         for row, reading in enumerate(due):

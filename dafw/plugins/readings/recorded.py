@@ -18,8 +18,7 @@ from dafw.core.domain import Domain
 from dafw.core.ensemble import Memory
 from dafw.core.errors import ConfigurationError
 from dafw.core.interfaces import Readings
-from dafw.core.interfaces.readings import Request, Taken
-from dafw.core.late import FORGIVEN, arrived
+from dafw.core.interfaces.readings import FORGIVEN, Request, Taken
 from dafw.core.observation import Interpolation, Observation
 from dafw.core.options import build, option
 from dafw.core.space import Array, StateSpace
@@ -216,7 +215,7 @@ class Recorded(SensorOptions, FileOptions, Readings):
     def take_with_memory(self, request: Request, memory: Memory | None, rng: np.random.Generator) -> Taken:
         """Return an observation for each time of which readings arrived in this cycle, or by then in the first."""
         fitted = self._fitted(request.space, request.domain)
-        due = np.flatnonzero(arrived(fitted.arrives, request))
+        due = np.flatnonzero(request.arrived(fitted.arrives))
         times = np.minimum(fitted.table.number("time")[due], request.end)
         named, limited = any(fitted.table.text("sensor")), not np.isnan(fitted.limits).all()
         spanned = bool(fitted.spans.any())

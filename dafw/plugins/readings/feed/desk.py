@@ -10,7 +10,7 @@ from hashlib import blake2b
 from math import inf
 
 from dafw.core.errors import ReadingsError
-from dafw.core.late import FORGIVEN
+from dafw.core.interfaces.readings import FORGIVEN
 from dafw.plugins.readings.feed.journal import Entry
 from dafw.plugins.readings.feed.messages import Message, UnusableError, read_message
 from dafw.plugins.readings.feed.state import FeedState, Reading
