@@ -22,7 +22,7 @@ from dafw.core.ensemble import Ensemble, Memory
 from dafw.core.interfaces import Readings
 from dafw.core.interfaces.readings import Request, Taken
 from dafw.core.observation import Observation, ObservationOperator, Selection, nothing
-from dafw.core.space import StateSpace
+from dafw.core.space import ANGLE, StateSpace
 
 CYCLES = 5
 DT = 1.0
@@ -34,10 +34,16 @@ def space_for(source: Readings) -> StateSpace:
 
 
 def _operator(space: StateSpace, cycle: int) -> ObservationOperator:
-    """Return what the observer would read: two entries with correlated errors, but nothing in the third cycle."""
+    """Return what the observer would read: two entries with correlated errors, but nothing in the third cycle.
+
+    They are the first and the last that are no angles, which a run refuses as readings.
+    """
     if cycle == 2:
         return nothing()
-    return Selection(indices=np.array([0, space.size - 1]), covariance=np.array([[0.04, 0.01], [0.01, 0.09]]))
+    plain = [space.slice(variable.name) for variable in space.variables if variable.kind is not ANGLE]
+    return Selection(
+        indices=np.array([plain[0].start, plain[-1].stop - 1]), covariance=np.array([[0.04, 0.01], [0.01, 0.09]])
+    )
 
 
 def domain_for(source: Readings) -> Domain | None:
