@@ -38,9 +38,9 @@ class Request:
     truth: Ensemble | None = None
 
     def arrived(self, times: Array) -> NDArray[np.bool_]:
-        """Return which of the readings that arrive at ``times`` (R,), in s, do so in this cycle, for every rounding.
+        """Return which of the readings that arrive at ``times`` (R,), in s, do so in this cycle.
 
-        The first cycle includes earlier ones. A reading of this cycle may be later than ``end`` by rounding.
+        The first cycle includes earlier ones. Times may be rounded: a reading of this cycle may be later than ``end``.
         """
         slack = FORGIVEN * (self.end - self.start)
         opened = -np.inf if self.cycle == 0 else self.start + slack

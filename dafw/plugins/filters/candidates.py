@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 
 from dafw.core.ensemble import Ensemble, Forecast, Memory
 from dafw.core.errors import DivergenceError, SolverError
+from dafw.core.rerun import Replay
 from dafw.core.space import Array, IntArray, StateSpace
 from dafw.core.spans import begins
 from dafw.core.window import Window
@@ -202,18 +204,28 @@ def _run(window: Window, start: Forecast | Ensemble, first: int) -> tuple[Foreca
     """
     cycles = [cycle for cycle in window.cycles if cycle.number >= first]
     operators = {cycle.number: cycle.observation.operator for cycle in cycles if cycle.observation.values.size}
+
+    def run(kept: IntArray) -> Replay:
+        part = start.with_members(start.members[kept]) if isinstance(start, Ensemble) else rows(start, kept)
+        return window.rerun(part, first, cycles[-1].number + 1, operators=operators)
+
     ensemble = start if isinstance(start, Ensemble) else start.ensemble
-    kept: IntArray = np.arange(len(ensemble))
-    while True:
-        part = ensemble.with_members(ensemble.members[kept]) if isinstance(start, Ensemble) else rows(start, kept)
-        try:
-            replay = window.rerun(part, first, cycles[-1].number + 1, operators=operators)
-            break
-        except (SolverError, DivergenceError) as error:
-            # The model cannot run this candidate, so it is given no weight. If none is left, there is no belief.
-            if error.member is None or len(kept) == 1:
-                raise
-            kept = np.delete(kept, error.member)
+    replay, kept = without_failures(run, len(ensemble))  # of candidates that cannot be run; they are given no weight
     predicted = [np.empty((len(kept), 0)), *(replay.predicted[number] for number in operators)]
     now = Forecast(replay.forecast.ensemble, replay.forecast.memory)
     return now, np.concatenate(predicted, axis=1), kept
+
+
+def without_failures(run: Callable[[IntArray], Replay], count: int) -> tuple[Replay, IntArray]:
+    """Run ``count`` members without those for which the model fails, and return the re-run and their indices (M,).
+
+    ``run`` runs the members of given indices. If it fails for all, raises the model's SolverError or DivergenceError.
+    """
+    kept: IntArray = np.arange(count)
+    while True:
+        try:
+            return run(kept), kept
+        except (SolverError, DivergenceError) as error:
+            if error.member is None or len(kept) == 1:
+                raise
+            kept = np.delete(kept, error.member)

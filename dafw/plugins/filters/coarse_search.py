@@ -32,9 +32,10 @@ from dafw.core.interfaces import Filter
 from dafw.core.observation import Observation
 from dafw.core.options import option
 from dafw.core.registry import registry
+from dafw.core.rerun import Replay
 from dafw.core.space import Array, IntArray, StateSpace
 from dafw.core.window import Window
-from dafw.plugins.filters.candidates import joined_forecasts, rows
+from dafw.plugins.filters.candidates import joined_forecasts, rows, without_failures
 from dafw.plugins.filters.wrapped import BASE, MODEL, part_of
 
 
@@ -184,16 +185,18 @@ def _run_from_start(window: Window, starts: Array, *, may_fail: bool) -> tuple[F
 
     If it fails for all, return None, or raise the error of the last unless they ``may_fail``.
     """
-    kept: IntArray = np.arange(len(starts))
-    while len(kept):
+
+    def run(kept: IntArray) -> Replay:
         start = window.first.ensemble.with_members(starts[kept])
-        try:
-            return window.rerun(start, window.cycles[0].number, window.cycles[-1].number + 1).forecast, kept
-        except (SolverError, DivergenceError) as error:
-            if error.member is None or (len(kept) == 1 and not may_fail):
-                raise
-            kept = np.delete(kept, error.member)
-    return None, kept
+        return window.rerun(start, window.cycles[0].number, window.cycles[-1].number + 1)
+
+    try:
+        replay, kept = without_failures(run, len(starts))
+    except (SolverError, DivergenceError) as error:
+        if error.member is None or not may_fail:
+            raise
+        return None, np.empty(0, dtype=np.int64)
+    return replay.forecast, kept
 
 
 def _weights_of(ran: NDArray[np.bool_], weights: Array | None) -> Array:

@@ -164,9 +164,8 @@ def undone_response(table: Table, sensors: Mapping[str, SensorOptions]) -> tuple
         sd[after] = np.hypot(spread[after], a * spread[before]) / (1.0 - a)
         arrives[after] = np.maximum(known[before], known[after])  # it takes both
         kept[rows[:1]] = False
-    changed = table.changed(value=value, sd=sd)
-    changed = changed.changed(arrives=arrives) if "arrives" in table.numbers else changed
-    return changed.chosen(kept), int((~kept).sum())
+    times = {"arrives": arrives} if "arrives" in table.numbers else {}
+    return table.changed(value=value, sd=sd, **times).chosen(kept), int((~kept).sum())
 
 
 def censored(table: Table, sensors: Mapping[str, ErrorOptions]) -> tuple[Table, int]:
