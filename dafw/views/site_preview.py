@@ -93,7 +93,7 @@ class Preview:
         found = []
         for role, words, model in (("truth", "truth", self.study.truth), ("belief", "first guess", self.study.model)):
             if isinstance(model, AdvectionDiffusion):
-                found.append((role, words, float(model.wind_speed), float(model.wind_direction)))
+                found.append((role, words, *model.first_wind))
         return found
 
     @cached_property

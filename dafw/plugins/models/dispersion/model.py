@@ -58,12 +58,17 @@ class AdvectionDiffusion(OnMesh):
         minimum=0.0,
     )
     source: SourceOptions = option(SourceOptions, "the kind and amount of the release, and more sources")
-    wind_speed: float = option(5.0, "first guess of the wind speed: mean, m/s", minimum=0.0)
+    wind_speed: float | None = option(
+        5.0, "first guess of the wind speed: mean, m/s; null: the measured one", minimum=0.0
+    )
     wind_speed_sd: float = option(0.0, "first guess of the wind speed: standard deviation, m/s (Weibull)", minimum=0.0)
     wind_speed_max: float | None = option(
         None, "strongest wind that the first guess can draw, m/s; null: any of the Weibull distribution", above=0.0
     )
-    wind_direction: float = option(np.pi, "first guess of the wind direction: mean, radians, towards which it blows")
+    wind_direction: float | None = option(
+        np.pi,
+        "first guess of the wind direction: mean, radians, towards which it blows; null: the measured one",
+    )
     wind_direction_sd: float = option(
         0.0, "first guess of the wind direction: standard deviation, radians", minimum=0.0
     )
@@ -100,7 +105,22 @@ class AdvectionDiffusion(OnMesh):
             raise ConfigurationError(f"the release must be one place [x, y] in metres, got {self.release}")
         self._sources = sources(self.release, self.release_radius, self.source)
         self._wind_change = WindChange(self.wind_change)
-        self._unknown = unknowns(self, self.own_unknowns())
+        self._unknown = unknowns(self, self.own_unknowns(), self.first_wind)
+
+    @property
+    def first_wind(self) -> tuple[float, float]:
+        """The first guess of the wind at t = 0: m/s, and radians from east towards which it blows.
+
+        Raises ConfigurationError if there is none, ReadingsError if the record of a measured one cannot be read.
+        """
+        speed, direction = self.wind_speed, self.wind_direction
+        if speed is None or direction is None:
+            if self.wind_change.kind != "measured":
+                name = "wind_speed" if speed is None else "wind_direction"
+                raise ConfigurationError(f"{name} is null, which means the measured one: set wind_change.kind=measured")
+            measured = self._wind_change.at_start
+            return measured[0] if speed is None else speed, measured[1] if direction is None else direction
+        return speed, direction
 
     def own_unknowns(self) -> Mapping[str, Possible]:
         """Return what can be estimated of this model beside what all have, by name."""
@@ -163,7 +183,7 @@ class AdvectionDiffusion(OnMesh):
         """Return what was done to the site, and the size of the mesh."""
         size = f"{self._topology[0].shape[0]} nodes, {len(self._topology[1])} triangles"
         divided = f", divided among {self._communicator.size} processes" if self._communicator else ""
-        return [*self.place.report_lines(), size + divided]
+        return [*self.place.report_lines(), size + divided, *self._wind_change.notes()]
 
     def initial(self, n_members: int, rng: MemberStreams) -> Array:
         """Return the gas of the bursts, with the wind and whatever else is estimated drawn from the first guess."""

@@ -44,10 +44,8 @@ class Possible:
 class Guess(Protocol):
     """What the first guess is made from: the options of a dispersion model."""
 
-    wind_speed: float
     wind_speed_sd: float
     wind_speed_max: float | None
-    wind_direction: float
     wind_direction_sd: float
     wind_change: WindChangeOptions
     release: list[float]
@@ -95,12 +93,17 @@ def _require_known(guess: Guess, accepted: Sequence[str]) -> None:
         raise ConfigurationError(f"estimate: a name stands twice in {guess.estimate}")
 
 
-def unknowns(guess: Guess, own: Mapping[str, Possible]) -> list[Unknown]:
-    """Return the numbers of the state in their order; ``own`` are those that only this model can estimate.
+def unknowns(guess: Guess, own: Mapping[str, Possible], wind: tuple[float, float]) -> list[Unknown]:
+    """Return the numbers of the state in their order.
+
+    Args:
+        guess: the options of the model.
+        own: what only this model can estimate.
+        wind: mean of the first guess of the wind at t = 0, speed in m/s and direction in radians.
 
     Raises ConfigurationError for names and priors there are not, and for priors of other kinds of numbers.
     """
-    mean, sd = guess.wind_speed, guess.wind_speed_sd
+    (mean, direction), sd = wind, guess.wind_speed_sd
     if sd > 0.0 and not 1e-3 * mean <= sd <= 1e3 * mean:
         raise ConfigurationError(
             f"wind_speed_sd must be 0 or between a thousandth of wind_speed and a thousand times it (a Weibull "
@@ -110,7 +113,7 @@ def unknowns(guess: Guess, own: Mapping[str, Possible]) -> list[Unknown]:
     _require_known(guess, list(others))
     if "diffusion" in guess.estimate and guess.transport.scheme == "supg":
         raise ConfigurationError("estimate: the scheme 'supg' is made for one diffusion; choose another scheme")
-    direction, change = guess.wind_direction, WindChange(guess.wind_change)
+    change = WindChange(guess.wind_change)
     speed, most = about("weibull", mean, sd), guess.wind_speed_max
     if most is not None:
         if most <= mean:

@@ -28,10 +28,10 @@ from dafw.core.priors import Prior
 from dafw.core.rng import MemberStreams
 from dafw.core.sharing import Shared
 from dafw.core.space import FIELD, POSITIVE, Array, Kind, Variable
-from dafw.plugins.models.puffs.wind_record import WindFile
+from dafw.plugins.models.wind_record import WindFile
 
 if TYPE_CHECKING:
-    from dafw.plugins.models.puffs.wind_record import WindRecord
+    from dafw.plugins.models.wind_record import WindRecord
 
 UNKNOWN: Mapping[str, tuple[Kind, str]] = {
     "release_x": (FIELD, "m"),
@@ -141,10 +141,13 @@ class Leak(Model):
 
     @cached_property
     def record(self) -> WindRecord:
-        """The measured wind; raises ReadingsError."""
-        from dafw.plugins.models.puffs.wind_record import read_wind
+        """The measured wind; raises ReadingsError, and ConfigurationError for options that do not fit together."""
+        from dafw.plugins.models.wind_record import read_wind
 
-        return self._shared.once(("wind record", repr(self.wind)), lambda: read_wind(self.wind))
+        try:
+            return self._shared.once(("wind record", repr(self.wind)), lambda: read_wind(self.wind))
+        except ConfigurationError as error:
+            raise ConfigurationError(f"{self.label}: {error}") from error
 
     def require_available(self) -> None:
         """Read the wind; raises ReadingsError if it cannot be read."""

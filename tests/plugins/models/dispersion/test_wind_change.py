@@ -12,6 +12,7 @@ from dafw.core.rng import Streams
 from dafw.plugins.models.dispersion.model import AdvectionDiffusion
 from dafw.plugins.models.dispersion.model_ins import AdvectionDiffusionINS
 from dafw.plugins.models.dispersion.wind_change import WindChange, WindChangeOptions
+from dafw.plugins.models.wind_record import WindColumns
 from dafw.studies.running import run_study
 
 SMOOTH = {"kind": "smooth", "knots": 3, "spacing": 10.0}
@@ -26,7 +27,8 @@ def first_guess(model, n_members=3):
 def wind_at(options, t, numbers=None, speed=5.0, direction=1.0):
     """Return speed and direction at a time; ``numbers`` are those of a smooth change, by name."""
     state = {name: np.array([[value]]) for name, value in (numbers or {}).items()}
-    change = WindChange(WindChangeOptions(**options))
+    measured = WindColumns(**options.get("measured", {}))
+    change = WindChange(WindChangeOptions(**options | {"measured": measured}))
     return tuple(part.item() for part in change.wind(t, np.array([speed]), np.array([direction]), state))
 
 
@@ -73,6 +75,71 @@ def test_a_wind_may_be_held_for_a_while():
     held = PRESCRIBED | {"every": 4.0}
     for t, middle in ((0.5, 2.0), (3.5, 2.0), (4.5, 6.0), (7.9, 6.0), (61.0, 62.0)):
         assert wind_at(held, t) == wind_at(PRESCRIBED, middle)
+
+
+@pytest.fixture
+def recorded(tmp_path):
+    """Return a maker of the options of a wind measured every second from -20 to 60 s."""
+
+    def make(speed, direction, **changes):
+        time = np.arange(-20.0, 61.0)
+        u, v = speed(time) * np.cos(direction(time)), speed(time) * np.sin(direction(time))
+        rows = zip(time, np.broadcast_to(u, time.shape), np.broadcast_to(v, time.shape), strict=True)
+        text = "".join(f"{t},{east:.17g},{north:.17g}\n" for t, east, north in rows)
+        (tmp_path / "wind.csv").write_text("time,wind_x,wind_y\n" + text, encoding="utf-8")
+        return {"kind": "measured", "measured": {"file": str(tmp_path / "wind.csv")}, **changes}
+
+    return make
+
+
+def test_a_measured_wind_is_followed_from_the_wind_at_the_start(recorded):
+    turning = recorded(lambda t: 4.0 + 0.05 * t, lambda t: 0.0 * t + 2.0)
+    assert wind_at(turning, 0.0) == pytest.approx((5.0, 1.0))
+    assert wind_at(turning, 30.0) == pytest.approx((5.0 * 5.5 / 4.0, 1.0))  # linear, so equal to its mean
+    gentle = recorded(lambda t: 4.0 + 0.0 * t, lambda t: 2.0 + 0.002 * t, average=4.0)
+    assert wind_at(gentle, 50.0) == pytest.approx((5.0, 1.1))
+
+
+def test_a_measured_wind_is_averaged_and_may_be_held(recorded):
+    gust = recorded(lambda t: np.where(t < 10.0, 3.0, 6.0), lambda t: 0.0 * t, average=20.0)
+    # Linear between the samples of 9 and 10 s; the window from -5 to 15 s has 14 s of 3, 1 s of 4.5 and 5 s of 6 m/s.
+    assert wind_at(gust, 5.0, speed=1.0) == pytest.approx(((14 * 3.0 + 4.5 + 5 * 6.0) / (19 * 3.0 + 4.5), 1.0))
+    held = gust | {"average": 2.0, "every": 20.0}
+    assert wind_at(held, 1.0) == wind_at(held, 19.0) == wind_at(gust, 10.0)
+
+
+def test_a_measured_wind_can_be_the_first_guess_and_carries_the_gas(small_site, recorded):
+    """The centre of the gas travels as far as the wind's integral says, with the first wind off by a known factor."""
+    wind = recorded(lambda t: 2.0 + 0.1 * t, lambda t: 2.8 + 0.03 * t, average=1.0)
+    bell = {"mesh": {"wall_size": 4.0, "far_size": 4.0}, "transport": {"diffusion": 2.0}, "release_radius": 6.0}
+    model = AdvectionDiffusion.from_options(
+        site=small_site, **bell, wind_speed=None, wind_direction=None, wind_change=wind
+    )
+    members = np.array(first_guess(model, 1).ensemble.members)
+    state, matrices = model.space.unpack(members), model._transport.matrices
+    assert state["wind_speed"].item() == pytest.approx(2.0, abs=1e-3)
+    assert state["wind_direction"].item() == pytest.approx(2.8, abs=1e-3)
+    state["wind_speed"][:] *= 1.1
+    part = model.space.slice("concentration")
+
+    def centre():
+        weight = matrices.before @ members[0, part]
+        return weight @ model.space["concentration"].coordinates / weight.sum()
+
+    before = centre()
+    for second in range(4):
+        members = model.step_with_memory(members, None, float(second), None).members
+    times = np.linspace(0.0, 4.0, 4001)
+    direction = 2.8 + 0.03 * times
+    along = 1.1 * (2.0 + 0.1 * times) * np.array([np.cos(direction), np.sin(direction)])
+    np.testing.assert_allclose(centre() - before, np.trapezoid(along, times, axis=1), atol=5e-3)
+    assert any("at t = 0 2.00 m/s towards 2.80 radians" in note for note in model.notes())
+
+
+def test_a_calm_at_the_start_is_refused(small_model, recorded):
+    calm = recorded(lambda t: 0.02 * np.abs(t), lambda t: 0.0 * t, average=2.0)
+    with pytest.raises(ConfigurationError, match=r"which must be 0.1 m/s or more, got 0.0"):
+        AdvectionDiffusion.from_options(**small_model | {"wind_speed": None}, wind_change=calm)
 
 
 def test_the_centre_of_the_gas_travels_with_the_wind_of_the_middle_of_each_step(small_site):
@@ -190,8 +257,15 @@ def test_a_re_run_repeats_the_belief(study):
         (SMOOTH | {"gust": 0.2}, "'gust' belongs to kind 'prescribed', and the kind is 'smooth'"),
         (SMOOTH | {"speed_sd": 0.0, "direction_sd": 0.0}, "both 0, so nothing changes: choose kind=none"),
         ({"kind": "prescribed", "gust": 1.5}, "option 'gust' must be at most 1"),
+        ({"kind": "measured"}, "measured.file and kind=measured belong together, got kind=measured and the file ''"),
+        ({"measured": {"file": "wind.csv"}}, "belong together, got kind=none and the file 'wind.csv'"),
     ],
 )
 def test_what_makes_no_sense_is_refused(small_model, options, message):
     with pytest.raises(ConfigurationError, match=message):
         AdvectionDiffusion.from_options(**small_model, wind_change=options)
+
+
+def test_only_a_measured_wind_can_take_the_place_of_a_number(small_model):
+    with pytest.raises(ConfigurationError, match="wind_direction is null, which means the measured one: set wind_ch"):
+        AdvectionDiffusion.from_options(**small_model | {"wind_direction": None})

@@ -39,27 +39,27 @@ def components_of(direction: Table, speed: Table, blows: str) -> Array:
     return sign * np.stack([size * np.sin(angle), size * np.cos(angle)], axis=1)
 
 
-def on_the_clock(table: Table, starts: Sequence[str | None], start: float | str | None) -> Array:
+def on_the_clock(table: Table, starts: Sequence[str | None], start: float | str | None, group: str) -> Array:
     """Return the times (S,) of a table in s after the date ``start``, from a clock that begins again.
 
     A new part of the table begins wherever the time goes back; ``starts`` has for each part the date at which its clock
-    showed 0, or None to leave the part out (NaN). Raises ConfigurationError for dates that are none, ReadingsError if
-    the table has another number of parts or has dates.
+    showed 0, or None to leave the part out (NaN). Raises ConfigurationError, which names the ``group`` of the
+    options, for dates that are none, and ReadingsError if the table has another number of parts or has dates.
     """
-    zero = _date(start, "wind.start")
-    begins = [None if one is None else _date(one, "wind.starts") for one in starts]
+    zero = _date(start, f"{group}.start")
+    begins = [None if one is None else _date(one, f"{group}.starts") for one in starts]
     elapsed = table.number("time")
     if table.epoch is not None:
         elapsed = elapsed + (table.epoch - WITHOUT_A_DATE).total_seconds()
         if table.epoch - WITHOUT_A_DATE > timedelta(days=300):
-            raise table.error("wind.starts says when its clock showed 0, and its times are dates already")
+            raise table.error(f"{group}.starts says when its clock showed 0, and its times are dates already")
     known = np.where(np.isnan(elapsed), -np.inf, elapsed)
     before = np.maximum.accumulate(np.where(np.isnan(elapsed), -1, np.arange(len(elapsed))))[:-1]
     back = (known[1:] < np.where(before < 0, -np.inf, known[before])) & np.isfinite(known[1:])
     part = np.append(0, np.cumsum(back))[: len(elapsed)]
     if len(elapsed) and part[-1] + 1 != len(begins):
         raise table.error(
-            f"its clock begins {part[-1] + 1} times: expected as many dates in wind.starts, got {len(begins)}"
+            f"its clock begins {part[-1] + 1} times: expected as many dates in {group}.starts, got {len(begins)}"
         )
     shift = np.array([np.nan if one is None else (one - zero).total_seconds() for one in begins])
     return np.asarray(elapsed + shift[part])
@@ -69,5 +69,5 @@ def _date(given: float | str | None, name: str) -> datetime:
     """Return the date that an option says; raises ConfigurationError."""
     moment = parsed_date(given, None) if isinstance(given, str) else None
     if moment is None:
-        raise ConfigurationError(f"model 'puffs': {name} must be a date in ISO 8601, got {shown(given)}")
+        raise ConfigurationError(f"{name} must be a date in ISO 8601, got {shown(given)}")
     return moment

@@ -44,32 +44,39 @@ BEYOND = 1e5
 
 
 @dataclass
-class WindFile(FileOptions):
-    """Where the wind was recorded. ``columns.value`` is not used."""
+class WindColumns(FileOptions):
+    """Where a wind along the ground was recorded. ``columns.value`` is not used."""
 
-    file: str = option("", "path of the file with the wind; a * in it names several files; empty: a steady wind")
-    steady: list[float] = option(
-        [], "without a file: [x, y, s, h] in m/s, the wind's components and its standard deviations, sideways, upwards"
-    )
+    file: str = option("", "path of the file with the wind; a * in it names several files")
     x: str = option("wind_x", "column of the wind's component along x, m/s; with a minus before it, its negative")
     y: str = option("wind_y", "column of the component along y")
-    z: str = option("wind_z", "column of the component upwards")
     speed: str | None = option(
         None, "column of the wind's speed, with that of its direction: instead of x and y; null: x and y are there"
     )
     direction: str | None = option(None, "column of the wind's direction, clockwise from north")
     blows: str = option("from", "whether the direction is that from which the wind blows, or to", choices=BLOWS)
+    starts: list[str | None] = option(
+        [],
+        "for a clock that begins again with every flight: the dates at which it showed 0, null to leave a flight out",
+    )
+    start: float | str | None = option(None, "what is t = 0, as for readings=recorded: the same time")
+
+
+@dataclass
+class WindFile(WindColumns):
+    """Where a wind and its upward component were recorded, or a steady wind."""
+
+    file: str = option("", "path of the file with the wind; a * in it names several files; empty: a steady wind")
+    steady: list[float] = option(
+        [], "without a file: [x, y, s, h] in m/s, the wind's components and its standard deviations, sideways, upwards"
+    )
+    z: str = option("wind_z", "column of the component upwards")
     upward: float | None = option(
         None,
         "if no upward component was measured: the standard deviation of its fluctuations as a share of that of a "
         "horizontal one; null: column z is there",
         minimum=0.0,
     )
-    starts: list[str | None] = option(
-        [],
-        "for a clock that begins again with every flight: the dates at which it showed 0, null to leave a flight out",
-    )
-    start: float | str | None = option(None, "what is t = 0, as for readings=recorded: the same time")
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +138,7 @@ def of_samples(time: Array, wind: Array, upward: float | None = None) -> WindRec
 def steady_wind(numbers: Sequence[float]) -> WindRecord:
     """Return the record of a wind that never changes: x, y and its standard deviations; raises ConfigurationError."""
     if len(numbers) != 4 or min(numbers[2:]) < 0.0:
-        raise ConfigurationError(f"model 'puffs': wind.steady must be [x, y, s, h] in m/s, got {list(numbers)}")
+        raise ConfigurationError(f"wind.steady must be [x, y, s, h] in m/s, got {list(numbers)}")
     time, wind = np.array([-ALWAYS, ALWAYS]), np.tile([*numbers[:2], 0.0], (2, 1))
     return WindRecord(time, wind, time[:, np.newaxis] * wind[:, :2], np.tile(numbers[2:], (2, 1)), 0)
 
@@ -164,33 +171,55 @@ def read_wind(options: WindFile) -> WindRecord:
     Raises ConfigurationError if neither or both are given.
     """
     if bool(options.file) == bool(options.steady):
-        raise ConfigurationError("model 'puffs': wind needs a file with a measured wind, or steady, and not both")
+        raise ConfigurationError("wind needs a file with a measured wind, or steady, and not both")
     if options.steady:
         return steady_wind(options.steady)
+    time, flat = _along_the_ground(options, "wind")
+    up = np.zeros(len(time)) if options.upward is not None else _component(options, options.z)
+    return _of_rows(time, np.column_stack([flat, up]), options.upward)
+
+
+def read_wind_along_the_ground(options: WindColumns, group: str) -> WindRecord:
+    """Return the wind of the files that the options of a ``group`` name, without an upward component.
+
+    Raises ReadingsError, and ConfigurationError for options that do not fit together.
+    """
+    time, flat = _along_the_ground(options, group)
+    return _of_rows(time, np.column_stack([flat, np.zeros(len(time))]), 0.0)
+
+
+def _of_rows(time: Array, wind: Array, upward: float | None) -> WindRecord:
+    """Return the record of the rows of a file that have a time (S,) and a wind (S, 3)."""
+    there = np.isfinite(time) & np.isfinite(wind).all(axis=1)
+    return of_samples(time[there], wind[there], upward)
+
+
+def _along_the_ground(options: WindColumns, group: str) -> tuple[Array, Array]:
+    """Return times (S,) in s since t = 0 and the wind's components (S, 2) in m/s along x and y."""
     if (options.speed is None) != (options.direction is None):
-        raise ConfigurationError("model 'puffs': wind.speed and wind.direction belong together, and one is missing")
-    from dafw.plugins.models.puffs.wind_words import components_of, on_the_clock
-    from dafw.plugins.readings.files.any_file import read_table
+        raise ConfigurationError(f"{group}.speed and {group}.direction belong together, and one is missing")
+    from dafw.plugins.models.wind_words import components_of, on_the_clock
     from dafw.plugins.readings.files.screening import start_of
 
-    def table_of(name: str) -> Table:
-        columns = ColumnOptions(time=options.columns.time, value=name.removeprefix("-"))
-        return read_table(replace(options, columns=columns))
-
-    def component(name: str) -> Array:
-        return table_of(name).number("value") * (-1.0 if name.startswith("-") else 1.0)
-
     if options.speed is not None and options.direction is not None:
-        table = table_of(options.speed)
-        flat = components_of(table_of(options.direction), table, options.blows)
+        table = _table(options, options.speed)
+        flat = components_of(_table(options, options.direction), table, options.blows)
     else:
-        table = table_of(options.x)
-        flat = np.stack([component(options.x), component(options.y)], axis=1)
-    up = np.zeros(len(table)) if options.upward is not None else component(options.z)
+        table = _table(options, options.x)
+        flat = np.stack([_component(options, options.x), _component(options, options.y)], axis=1)
     if options.starts:
-        time = on_the_clock(table, options.starts, options.start)
-    else:
-        time = table.number("time") - start_of(table, options.start)
-    wind = np.column_stack([flat, up])
-    there = np.isfinite(time) & np.isfinite(wind).all(axis=1)
-    return of_samples(time[there], wind[there], options.upward)
+        return on_the_clock(table, options.starts, options.start, group), flat
+    return table.number("time") - start_of(table, options.start), flat
+
+
+def _table(options: WindColumns, name: str) -> Table:
+    """Return the table of the times and of one column."""
+    from dafw.plugins.readings.files.any_file import read_table
+
+    columns = ColumnOptions(time=options.columns.time, value=name.removeprefix("-"))
+    return read_table(replace(options, columns=columns))
+
+
+def _component(options: WindColumns, name: str) -> Array:
+    """Return a column of numbers (S,); with a minus before its name, their negatives."""
+    return _table(options, name).number("value") * (-1.0 if name.startswith("-") else 1.0)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dafw.core.errors import ConfigurationError, ReadingsError
-from dafw.plugins.models.puffs.wind_record import WindFile, read_wind
+from dafw.plugins.models.wind_record import WindFile, read_wind
 
 TABLE = """\ufeffFlight time,Altitude,Wind Direction,Wind Speed
 00m 20s,6.6 m,180°,\u00a0\u00a02.00 m/s
