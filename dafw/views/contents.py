@@ -13,6 +13,9 @@ from dafw.core.errors import RunError
 if TYPE_CHECKING:
     from xarray import Dataset
 
+RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+"""Superscripts as letters: matplotlib's formulas take a twentieth of the time that the pictures of a run take."""
+
 
 def require(run: Dataset, purpose: str, *names: str) -> None:
     """Raise RunError if variables that ``purpose`` needs are missing."""
@@ -138,4 +141,5 @@ def label(run: Dataset, variable: str, units: str | None = None) -> str:
     spoken = variable.replace("_", " ")
     if units in ("", "1"):
         return spoken
-    return f"{spoken} ({re.sub(r'(?<=[A-Za-z])(-?[0-9]+)', r'$^{\1}$', units)})"
+    raised = re.sub(r"(?<=[A-Za-z])-?[0-9]+", lambda power: power.group().translate(RAISED), units)
+    return f"{spoken} ({raised})"

@@ -195,6 +195,10 @@ def save(figure: Figure, file: Path, paper: Paper = SCREEN) -> Path:
     file.parent.mkdir(parents=True, exist_ok=True)
     if paper.width is not None:
         fit(figure, paper.width)
+    # The lines around axes, half of which lie outside, need no room of their own. To ask them takes a tenth of the time.
+    for axes in figure.axes:
+        for spine in axes.spines.values():
+            spine.set_in_layout(False)
     # The names of parts in an SVG are random without a salt.
     with atomic_file(file) as stream, matplotlib.rc_context({"svg.hashsalt": "dafw"}):
         figure.savefig(stream, **paper.settings(figure))

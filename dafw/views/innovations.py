@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import NullFormatter
 
 from dafw.core.errors import RunError
 from dafw.views.contents import has_innovations, time_units
@@ -46,6 +47,9 @@ def plot_innovations(runs: Mapping[str, Dataset]) -> Figure:
     if max(float(np.nanmax(run["innovation_rms"].values)) for run in read.values()) > 10.0:
         upper.set_yscale("log")
         lower.set_yscale("symlog", linthresh=1.0)
+        for axes in (upper, lower):  # as plain numbers: formulas such as 10^2 take long to lay out
+            axes.yaxis.set_major_formatter("{x:g}")
+            axes.yaxis.set_minor_formatter(NullFormatter())
     else:
         upper.set_ylim(bottom=0.0)
     upper.set_ylabel("root mean square")

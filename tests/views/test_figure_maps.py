@@ -110,7 +110,7 @@ def test_the_spread_of_a_positive_variable_is_named_for_what_it_is(untold_run):
 
     positive = untold_run.copy()
     positive["concentration_mean"] = positive["concentration_mean"].assign_attrs(comment="positive: and so on")
-    assert bar(untold_run) == "standard deviation of concentration (kg m$^{-3}$)"
+    assert bar(untold_run) == "standard deviation of concentration (kg m⁻³)"
     assert bar(positive) == "standard deviation of the logarithm of concentration"
 
 

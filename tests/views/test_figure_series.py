@@ -140,7 +140,7 @@ def test_many_runs_stay_distinguishable(plant_run):
 
 def test_parameters_have_one_panel_each_with_units(plant_run):
     panels = plot_parameters(plant_run).axes
-    assert [axes.get_ylabel() for axes in panels] == ["wind speed (m s$^{-1}$)", "wind direction (°)"]
+    assert [axes.get_ylabel() for axes in panels] == ["wind speed (m s⁻¹)", "wind direction (°)"]
     np.testing.assert_array_equal(lines(panels[0], "mean")[0].get_ydata(), plant_run["wind_speed_mean"])
     assert len(lines(panels[0], "member")) == plant_run.sizes["member"]
 
