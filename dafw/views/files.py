@@ -195,7 +195,7 @@ def save(figure: Figure, file: Path, paper: Paper = SCREEN) -> Path:
     file.parent.mkdir(parents=True, exist_ok=True)
     if paper.width is not None:
         fit(figure, paper.width)
-    # The lines around axes, half of which lie outside, need no room of their own. To ask them takes a tenth of the time.
+    # The lines around axes need no room of their own. To ask them for it takes a tenth of the time.
     for axes in figure.axes:
         for spine in axes.spines.values():
             spine.set_in_layout(False)
