@@ -18,7 +18,8 @@ the covariance of the posterior as soon as samples are close to it. For the next
 weights, and C is the covariance of the samples under them: the largest weights are made equal, so that C is never that
 of one lucky sample. They are as many as there are members, and at least as many as a normal distribution of the
 controls has moments, so that C has all directions. A kernel counts for all samples but its own centre: else a sample
-that became a centre would lose weight. The members of the belief are drawn from w.
+that became a centre would lose weight. The members of the belief are drawn from w, or from weights that are wider where
+the model errs (persistence.py).
 
 Cornuet, Marin, Mira and Robert (2012), doi:10.1111/j.1467-9469.2011.00756.x; the mixture q is the deterministic one of
 Veach and Guibas (1995), doi:10.1145/218380.218498. Clipping: Koblents and Miguez (2015),
@@ -52,6 +53,7 @@ from dafw.plugins.filters.explained import is_explained
 from dafw.plugins.filters.kernels import Kernels
 from dafw.plugins.filters.likelihood import Likelihood
 from dafw.plugins.filters.linearised import can_linearise, linearised
+from dafw.plugins.filters.persistence import widened
 from dafw.plugins.filters.shown import members_drawn
 from dafw.plugins.filters.slow_sensors import as_shown, response_seen
 from dafw.plugins.filters.waiting import marked, unmarked, waits
@@ -77,6 +79,13 @@ class AMIS(Filter):
         [], "names of the control variables; none: all single numbers of the state. All that are unknown must be named"
     )
     likelihood: Likelihood = option(Likelihood, "how likely a reading is")
+    model_independence: float = option(
+        1.0,
+        "power, on top of likelihood.independence, of readings in the belief's weights where the model's error is not "
+        "the smallest of the likelihood's sizes: such errors persist. Below 1 it makes the belief wider",
+        above=0.0,
+        maximum=1.0,
+    )
     every: int = option(1, "cycles from one analysis to the next", minimum=1)
     steps: int = option(
         1000, "steps of the model, summed over samples, that re-runs in one analysis may take", minimum=0
@@ -130,8 +139,8 @@ class AMIS(Filter):
             leading = clipped(log_base + fit, int(min(max(size, n_moments(len(controls))), 0.5 * len(samples))))
             by_slopes = batches % 2 == 0 and not self.likelihood.has_background and can_linearise(controls, leading)
             if by_slopes:
-                shown = as_shown(window, samples.predicted, samples.fit, weights, self.likelihood)
-                seen = replace(samples, predicted=shown)
+                response = as_shown(window, samples.predicted, samples.fit, weights, self.likelihood)
+                seen = replace(samples, predicted=response)
                 proposal = linearised(controls, seen, leading, weights, window, self.likelihood, size, rng.random())
             else:
                 proposal = Kernels.around(controls, samples.coordinates, leading, size, rng)
@@ -145,7 +154,8 @@ class AMIS(Filter):
         # fro. The order is a random one, because samples stand in the order of their batches.
         known = window.memory or {"offset": np.array(rng.random()), "order": rng.permutation(size)}
         always = {name: np.asarray(known[name]) for name in ("offset", "order")}
-        drawn, shares = members_drawn(samples.now.ensemble, weights, size, float(always["offset"]))
+        shown = widened(log_base, samples.fit, weights, self.likelihood, self.model_independence)
+        drawn, shares = members_drawn(samples.now.ensemble, shown, size, float(always["offset"]))
         drawn, shares = drawn[always["order"]], shares[always["order"]]
         belief = rows(samples.now, drawn)
         members = ensemble.space.retract(belief.ensemble.members, np.zeros(ensemble.space.size))
