@@ -256,8 +256,12 @@ class Likelihood:
 
 
 def shares_of_cases(fit: Array) -> Array:
-    """Return the probability (N, S) of each column of log likelihoods (N, S), for every member: they add up to one."""
-    return np.asarray(np.exp(fit - np.logaddexp.reduce(fit, axis=1, keepdims=True)))
+    """Return the probability (N, S) of each column of log likelihoods (N, S), for every member: they add up to one.
+
+    They are zero for a member that is impossible in all columns.
+    """
+    together = np.logaddexp.reduce(fit, axis=1, keepdims=True)
+    return np.asarray(np.exp(fit - np.where(np.isneginf(together), 0.0, together)))
 
 
 def _of_model(absolute: Array, relative: Array, predicted: Array, values: Array) -> Array:

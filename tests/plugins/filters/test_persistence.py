@@ -58,6 +58,14 @@ def test_sizes_have_the_shares_that_the_search_gives_them():
     np.testing.assert_allclose(found, exact / exact.sum(), atol=1e-9)
 
 
+def test_an_impossible_sample_has_no_weight():
+    fit = np.array([[-1.0, -1.0], [-np.inf, -np.inf], [-2.0, -1.0]])
+    others = np.zeros(3)
+    found = widened(others, fit, weights_of(others, fit, TWO_SIZES), TWO_SIZES, 0.25)
+    assert found[1] == 0.0
+    assert found.sum() == pytest.approx(1.0)
+
+
 def test_the_belief_of_amis_is_as_wide_as_quadrature_says():
     likelihood, seeds = Likelihood(absolute=[0.05, 0.2]), 40
     log_rate, first = (axis.ravel() for axis in np.meshgrid(np.linspace(-5, 3, 801), np.linspace(-4, 8, 801)))
