@@ -142,9 +142,19 @@ def realtime_recommended_10k(short: bool) -> Measurement:
 @benchmark("cycle.realtime_coarse_search_10k")
 def realtime_coarse_search_10k(short: bool) -> Measurement:
     """The same on 10,045 nodes, with search and plans on 2,715."""
+    return _coarse_search(short, 3.0)
+
+
+@benchmark("cycle.realtime_coarse_search_10k_n100")
+def realtime_coarse_search_10k_n100(short: bool) -> Measurement:
+    """The same with 100 members, which two processes share."""
+    return _coarse_search(short, 1.0, "members=100", *TWO_WORKERS)
+
+
+def _coarse_search(short: bool, baseline: float, *overrides: str) -> Measurement:
     mesh = ("wall_size=60", "far_size=120") if short else ("wall_size=16", "far_size=24", "transition=100")
     coarser = ["filter=coarse_amis", "policy.coarser=true", *(f"model.coarse_mesh.{word}" for word in mesh)]
-    return _recommended(short, 3.0, *TEN_THOUSAND, *coarser, steps="+filter.base.steps")
+    return _recommended(short, baseline, *overrides, *TEN_THOUSAND, *coarser, steps="+filter.base.steps")
 
 
 @benchmark("cycle.realtime_recommended_10k_n100")

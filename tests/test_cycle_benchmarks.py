@@ -15,9 +15,10 @@ from benchmarks.machine import implicit_step
 ROOT = Path(__file__).parent.parent
 RERUNS = ["rerun.over_stepping_2k7", "rerun.fct_over_stepping_2k7"]
 RECOMMENDED = [f"cycle.realtime_recommended{size}" for size in ("", "_10k", "_10k_n100")]
-COARSE = "cycle.realtime_coarse_search_10k"
+COARSE = [f"cycle.realtime_coarse_search_10k{members}" for members in ("", "_n100")]
 MACHINE = "machine.solve_2k7"
-NAMES = ["cycle.realtime_factor_n10", MACHINE, *RECOMMENDED, COARSE, "cycle.over_literal", "cycle.overhead_ms", *RERUNS]
+LITERAL = ["cycle.over_literal", "cycle.overhead_ms"]
+NAMES = ["cycle.realtime_factor_n10", MACHINE, *RECOMMENDED, *COARSE, *LITERAL, *RERUNS]
 
 
 @pytest.fixture(scope="module")
