@@ -137,6 +137,13 @@ class AdvectionDiffusion(OnMesh):
             raise ConfigurationError(f"{self.label}: {error}") from error
         self._communicator = communicator
 
+    def require_available(self) -> None:
+        """Read a measured wind; raises ReadingsError, and ConfigurationError if it cannot be used."""
+        try:
+            self._wind_change.notes()
+        except ConfigurationError as error:
+            raise ConfigurationError(f"{self.label}: {error}") from error
+
     @cached_property
     def _nodes(self) -> Partition | Undivided:
         """The step between the nodes of the state and those of the transport on this rank."""

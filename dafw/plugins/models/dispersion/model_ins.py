@@ -112,6 +112,7 @@ class AdvectionDiffusionINS(AdvectionDiffusion):
 
     def require_available(self) -> None:
         """Raise ConfigurationError if the options name a reduced basis that is missing or damaged."""
+        super().require_available()
         if self.wind.solver == "newton":
             return
         from dafw.plugins.models.dispersion.reduced_wind.choice import require_basis

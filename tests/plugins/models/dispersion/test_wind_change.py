@@ -8,6 +8,7 @@ from run_files import contents
 from small_study import CERTAIN, small_study
 
 from dafw import ConfigurationError
+from dafw.core.errors import ReadingsError
 from dafw.core.rng import Streams
 from dafw.plugins.models.dispersion.model import AdvectionDiffusion
 from dafw.plugins.models.dispersion.model_ins import AdvectionDiffusionINS
@@ -264,6 +265,13 @@ def test_a_re_run_repeats_the_belief(study):
 def test_what_makes_no_sense_is_refused(small_model, options, message):
     with pytest.raises(ConfigurationError, match=message):
         AdvectionDiffusion.from_options(**small_model, wind_change=options)
+
+
+@pytest.mark.parametrize("make", [AdvectionDiffusion, AdvectionDiffusionINS])
+def test_a_wind_that_cannot_be_read_is_refused_before_a_run(small_model, make):
+    wind = {"kind": "measured", "measured": {"file": "nowhere.csv"}}
+    with pytest.raises(ReadingsError, match=r"nowhere.csv: not found"):
+        make.from_options(**small_model, wind_change=wind).require_available()
 
 
 def test_only_a_measured_wind_can_take_the_place_of_a_number(small_model):
