@@ -82,7 +82,8 @@ class AMIS(Filter):
     model_independence: float = option(
         1.0,
         "power, on top of likelihood.independence, of readings in the belief's weights where the model's error is not "
-        "the smallest of the likelihood's sizes: such errors persist. Below 1 it makes the belief wider",
+        "the smallest of the likelihood's sizes: such errors persist. Below 1 it makes the belief wider. With one size it "
+        "has no effect",
         above=0.0,
         maximum=1.0,
     )
@@ -229,7 +230,7 @@ class AMIS(Filter):
         named: dict[str, tuple[Any, str]] = {
             "runs": (runs, "runs of the model since the start in this analysis"),
             "samples": (len(samples), "samples weighted"),
-            "effective_size": (effective_size(weights), "effective sample size of all samples"),
+            "effective_size": (effective_size(weights), "effective sample size of all samples, in the search"),
             "model_error_absolute": (absolute, "estimated size of the model's error, in units of the readings"),
             "model_error_relative": (relative, "estimated size of the model's error, relative"),
         }

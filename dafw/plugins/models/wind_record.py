@@ -59,7 +59,9 @@ class WindColumns(FileOptions):
         [],
         "for a clock that begins again with every flight: the dates at which it showed 0, null to leave a flight out",
     )
-    start: float | str | None = option(None, "what is t = 0, as for readings=recorded: the same time")
+    start: float | str | None = option(
+        None, "what is t = 0, as for readings=recorded: the same time; first: that of the first wind"
+    )
 
 
 @dataclass
@@ -201,6 +203,9 @@ def _along_the_ground(options: WindColumns, group: str) -> tuple[Array, Array]:
     from dafw.plugins.models.wind_words import components_of, on_the_clock
     from dafw.plugins.readings.files.screening import start_of
 
+    for option_name, name in (("speed", options.speed), ("direction", options.direction)):
+        if name is not None and name.startswith("-"):
+            raise ConfigurationError(f"{group}.{option_name}: a minus stands before a component only, got '{name}'")
     if options.speed is not None and options.direction is not None:
         table = _table(options, options.speed)
         flat = components_of(_table(options, options.direction), table, options.blows)
@@ -209,7 +214,11 @@ def _along_the_ground(options: WindColumns, group: str) -> tuple[Array, Array]:
         flat = np.stack([_component(options, options.x), _component(options, options.y)], axis=1)
     if options.starts:
         return on_the_clock(table, options.starts, options.start, group), flat
-    return table.number("time") - start_of(table, options.start), flat
+    time = table.number("time")
+    if options.start == "first":
+        there = time[np.isfinite(time) & np.isfinite(flat).all(axis=1)]
+        return time - (there.min() if there.size else 0.0), flat
+    return time - start_of(table, options.start), flat
 
 
 def _table(options: WindColumns, name: str) -> Table:
@@ -221,5 +230,7 @@ def _table(options: WindColumns, name: str) -> Table:
 
 
 def _component(options: WindColumns, name: str) -> Array:
-    """Return a column of numbers (S,); with a minus before its name, their negatives."""
-    return _table(options, name).number("value") * (-1.0 if name.startswith("-") else 1.0)
+    """Return a column of speeds (S,) in m/s; with a minus before its name, their negatives."""
+    from dafw.plugins.readings.files.screening import converted
+
+    return np.asarray(converted(_table(options, name), "m/s")[0] * (-1.0 if name.startswith("-") else 1.0))

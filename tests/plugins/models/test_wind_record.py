@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from dafw import ConfigurationError
-from dafw.plugins.models.wind_record import WindFile, are_spikes, of_samples, read_wind
+from dafw.plugins.models.wind_record import (
+    WindColumns,
+    WindFile,
+    are_spikes,
+    of_samples,
+    read_wind,
+    read_wind_along_the_ground,
+)
 
 TIME = np.arange(0.0, 1200.0, 2.0)
 
@@ -85,3 +92,23 @@ def test_columns_are_turned_as_the_options_say(tmp_path):
     options.columns.time = "t"
     record = read_wind(options)
     np.testing.assert_allclose(record.wind[1:-1], [[-5.0, 2.0 + t, 0.5] for t in range(4)])
+
+
+def test_components_are_converted_to_metres_a_second(tmp_path):
+    (tmp_path / "wind.csv").write_text("time,wind_x (km/h),wind_y (m/s)\n0,36,1\n10,36,1\n", encoding="utf-8")
+    record = read_wind_along_the_ground(WindColumns(file=str(tmp_path / "wind.csv")), "wind")
+    np.testing.assert_allclose(record.wind[:, :2], [[10.0, 1.0]] * 4)
+
+
+def test_the_first_wind_is_the_start_though_rows_before_it_have_none(tmp_path):
+    text = "time,wind_x,wind_y\n,1,1\n5,nan,1\n8,2,1\n9,2,1\n"
+    (tmp_path / "wind.csv").write_text(text, encoding="utf-8")
+    record = read_wind_along_the_ground(WindColumns(file=str(tmp_path / "wind.csv"), start="first"), "wind")
+    np.testing.assert_allclose(record.time[1:-1], [0.0, 1.0])
+
+
+def test_a_minus_before_a_speed_is_refused(tmp_path):
+    (tmp_path / "wind.csv").write_text("time,speed,from\n0,2,90\n9,2,90\n", encoding="utf-8")
+    wind = WindColumns(file=str(tmp_path / "wind.csv"), speed="-speed", direction="from")
+    with pytest.raises(ConfigurationError, match=r"wind.speed: a minus stands before a component only, got '-speed'"):
+        read_wind_along_the_ground(wind, "wind")

@@ -38,7 +38,7 @@ from dafw.plugins.models.wind_record import WindColumns
 if TYPE_CHECKING:
     from dafw.plugins.models.wind_record import WindRecord
 
-CALM = 0.1
+CALM = 0.5
 """Speed at t = 0, in m/s, below which the later wind is not told relative to it."""
 
 
@@ -73,7 +73,10 @@ class WindChangeOptions:
     period: float = option(30.0, "prescribed: period of that oscillation in seconds", above=0.0)
     measured: WindColumns = option(WindColumns, "measured: the file of the wind")
     average: float = option(
-        10.0, "measured: seconds over which that wind is averaged, so that no gust of a moment is the site's", above=0.0
+        10.0,
+        "measured: seconds over which that wind is averaged, so that no gust of a moment is the site's; after t = 0 "
+        "'every' if that is longer",
+        above=0.0,
     )
 
     def __post_init__(self) -> None:
@@ -122,7 +125,12 @@ class WindChange:
 
         Raises ConfigurationError for a calm, besides the errors of ``record``.
         """
-        u, v = self._mean(0.0)
+        first, last = self.record.time[[1, -2]]
+        if not first - self.options.average <= 0.0 <= last + self.options.average:
+            raise ConfigurationError(
+                f"wind_change.measured: its times, from {first:g} to {last:g} s, do not reach t = 0; set measured.start"
+            )
+        u, v = self._mean(0.0, self.options.average)
         if np.hypot(u, v) < CALM:
             raise ConfigurationError(
                 f"wind_change.measured: the later wind is told relative to that at t = 0, which must be {CALM:g} m/s "
@@ -130,9 +138,8 @@ class WindChange:
             )
         return float(np.hypot(u, v)), float(np.arctan2(v, u) % TWO_PI)
 
-    def _mean(self, t: float) -> Array:
-        """Return the components (2,) of the measured wind in m/s, averaged about the time t (s)."""
-        length = max(self.options.average, self.options.every or 0.0)
+    def _mean(self, t: float, length: float) -> Array:
+        """Return the components (2,) of the measured wind in m/s, averaged over ``length`` seconds about t (s)."""
         begin, end = self.record.carried_by(np.array([t - 0.5 * length, t + 0.5 * length]))
         return np.asarray((end - begin) / length)
 
@@ -178,7 +185,8 @@ class WindChange:
             speed = speed * (1.0 + options.gust * np.sin(TWO_PI * t / options.period))
             return speed, np.mod(direction + options.veer * min(t / options.duration, 1.0), TWO_PI)
         if options.kind == "measured":
-            (u, v), (first, towards) = self._mean(t), self.at_start
+            length = max(options.average, options.every or 0.0)
+            (u, v), (first, towards) = self._mean(t, length), self.at_start
             return speed * (np.hypot(u, v) / first), np.mod(direction + np.arctan2(v, u) - towards, TWO_PI)
         weights = self.weights(t)
         if self.speed_names:

@@ -106,7 +106,9 @@ def test_a_measured_wind_is_averaged_and_may_be_held(recorded):
     # Linear between the samples of 9 and 10 s; the window from -5 to 15 s has 14 s of 3, 1 s of 4.5 and 5 s of 6 m/s.
     assert wind_at(gust, 5.0, speed=1.0) == pytest.approx(((14 * 3.0 + 4.5 + 5 * 6.0) / (19 * 3.0 + 4.5), 1.0))
     held = gust | {"average": 2.0, "every": 20.0}
-    assert wind_at(held, 1.0) == wind_at(held, 19.0) == wind_at(gust, 10.0)
+    # 9 s of 3, 1 s of 4.5, 10 s of 6 m/s; at t = 0 it is 3 m/s.
+    for t in (1.0, 19.0):
+        assert wind_at(held, t, speed=1.0) == pytest.approx(((9 * 3.0 + 4.5 + 10 * 6.0) / 20.0 / 3.0, 1.0))
 
 
 def test_a_measured_wind_can_be_the_first_guess_and_carries_the_gas(small_site, recorded):
@@ -137,9 +139,27 @@ def test_a_measured_wind_can_be_the_first_guess_and_carries_the_gas(small_site, 
     assert any("at t = 0 2.00 m/s towards 2.80 radians" in note for note in model.notes())
 
 
+def test_holding_a_wind_does_not_change_the_first_guess(small_model, recorded):
+    wind = recorded(lambda t: 4.0 + 0.05 * t, lambda t: 0.3 + 0.01 * np.abs(t), average=2.0)
+    models = [
+        AdvectionDiffusion.from_options(**small_model | {"wind_speed": None}, wind_change=wind | more)
+        for more in ({}, {"every": 30.0})
+    ]
+    assert models[0].first_wind == models[1].first_wind
+
+
+def test_times_that_do_not_reach_the_start_are_refused(small_model, recorded):
+    late = recorded(lambda t: 4.0 + 0.0 * t, lambda t: 0.0 * t)
+    late["measured"]["start"] = -100.0
+    with pytest.raises(
+        ConfigurationError, match=r"its times, from 80 to 160 s, do not reach t = 0; set measured.start"
+    ):
+        AdvectionDiffusion.from_options(**small_model | {"wind_speed": None}, wind_change=late)
+
+
 def test_a_calm_at_the_start_is_refused(small_model, recorded):
     calm = recorded(lambda t: 0.02 * np.abs(t), lambda t: 0.0 * t, average=2.0)
-    with pytest.raises(ConfigurationError, match=r"which must be 0.1 m/s or more, got 0.0"):
+    with pytest.raises(ConfigurationError, match=r"which must be 0.5 m/s or more, got 0.0"):
         AdvectionDiffusion.from_options(**small_model | {"wind_speed": None}, wind_change=calm)
 
 
