@@ -82,8 +82,8 @@ class AMIS(Filter):
     model_independence: float = option(
         1.0,
         "power, on top of likelihood.independence, of readings in the belief's weights where the model's error is not "
-        "the smallest of several sizes of the likelihood: such errors persist. Below 1 it makes the belief wider; with one "
-        "size it has no effect",
+        "the smallest of the likelihood's several sizes: such errors persist. Below 1 it makes the belief wider; with "
+        "one size it has no effect",
         above=0.0,
         maximum=1.0,
     )
