@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from functools import cache
 
 import numpy as np
 
@@ -90,37 +89,6 @@ def innovation_scores(observation: Observation, mean: Array, spread: Array) -> d
         "innovation_mean": float(np.add.reduce(normalised)) / normalised.size,
         "innovation_rms": root_mean_square(normalised),
     }
-
-
-def ranks(observation: Observation, forecast: Ensemble, predicted: Array) -> Array:
-    """Return the share (m,) of the readings that the forecast expects which are below the one that came.
-
-    Every member i expects the normal distribution about its prediction with the variance of R, so the share is
-    sum_i w_i Phi((y - H x_i) / sqrt(R)). It is evenly distributed on [0, 1] if the forecast is honest. This is the rank
-    of a reading among the members (Hamill 2001, doi:10.1175/1520-0493(2001)129<0550:IORHFV>2.0.CO;2), with the
-    average over all draws of the readings' errors in place of one draw.
-    """
-    off = (observation.values - predicted) / np.sqrt(observation.variance)
-    place = np.fmin(np.fmax((off + FARTHEST) * STEPS, 0.0), 2.0 * FARTHEST * STEPS)
-    row = place.astype(np.int64)
-    below, rise = _normal_distribution()
-    return forecast.average(below[row] + (place - row) * rise[row])
-
-
-FARTHEST, STEPS = 8.5, 482
-"""Range of the table of the normal distribution, in standard deviations, and its rows in one of them."""
-
-
-@cache
-def _normal_distribution() -> tuple[Array, Array]:
-    """Return a table of Phi, and its differences; linear in between, Phi is right to 2e-7, which a share does not show.
-
-    In the cycles of a small study a table takes an eighth of the time of ``math.erfc``, and importing scipy.special
-    would take as long as thousands of them (Lorenz-96 with 24 members: 0.03 instead of 0.24 ms in a cycle of 1.4 ms).
-    """
-    points = np.arange(-FARTHEST * STEPS, FARTHEST * STEPS + 1.0) / STEPS
-    below = np.array([0.5 * math.erfc(-point / math.sqrt(2.0)) for point in points.tolist()])
-    return below, np.diff(below, append=below[-1])
 
 
 def _norm(values: Array) -> float:

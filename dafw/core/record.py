@@ -21,11 +21,12 @@ import numpy as np
 
 from dafw.core.checkpoints.journal import Journal
 from dafw.core.cycle import PHASES, Cycle, Parts, State
-from dafw.core.diagnostics import INNOVATION, SCORES, error_of, innovation_scores, predicted_spread, ranks, scores
+from dafw.core.diagnostics import INNOVATION, SCORES, error_of, innovation_scores, predicted_spread, scores
 from dafw.core.ensemble import Ensemble
 from dafw.core.errors import CheckpointError
 from dafw.core.files import made_anew
 from dafw.core.observation import Observation, Selection
+from dafw.core.ranks import Ranking
 from dafw.core.run_file import RunFile
 from dafw.core.run_layout import STAGES
 from dafw.core.space import Array, IntArray, StateSpace, Variable
@@ -78,6 +79,7 @@ class Record:
             journal=journal if before is None else None,
         )
         self._rows: list[dict[str, Any]] = []
+        self._ranking = Ranking()
         self._row_bytes = self._most = 0
         # Revised beliefs that wait to be written: those that may be revised once more, which the filter's past holds in
         # any case, and mean and spread (n,) of those that may not.
@@ -184,9 +186,10 @@ class Record:
         told = {
             "observation_forecast_mean": expected,
             "observation_forecast_spread": spread,
-            "observation_rank": ranks(cycle.observation, cycle.forecast, cycle.predicted),
+            "observation_rank": np.full(cycle.observation.values.size, np.nan),
         }
         row |= _observation_row(cycle, told, self._space, self._file.sensor_numbers)
+        self._ranking.add(row["observation_rank"], cycle.observation, cycle.forecast, cycle.predicted)
         if "observation_span" in row:
             self._file.require_spans()
         row |= innovation_scores(cycle.observation, expected, spread)
@@ -198,6 +201,7 @@ class Record:
 
     def flush(self) -> None:
         """Write the rows held in memory, and revised beliefs to the rows that they belong to; synchronise the file."""
+        self._ranking.settle()
         self._file.write(self._rows)
         self._rows.clear()
         revised = self._final | {done: (belief.mean, belief.spread) for done, belief in self._revised.items()}

@@ -41,9 +41,11 @@ class Journal:
         arrays = {name: np.ascontiguousarray(array) for name, array in (arrays or {}).items()}
         listed = [[name, array.dtype.str, array.shape] for name, array in arrays.items()]
         text = json.dumps({"told": told, "arrays": listed}).encode()
-        body = b"".join([text, *(array.tobytes() for array in arrays.values())])
-        self._stream.write(HEAD.pack(len(text), len(body) - len(text), crc32(body)))
-        self._stream.write(body)
+        checksum = crc32(text)
+        for array in arrays.values():
+            checksum = crc32(array, checksum)
+        n_bytes = sum(array.nbytes for array in arrays.values())
+        self._stream.writelines([HEAD.pack(len(text), n_bytes, checksum), text, *arrays.values()])
 
     def length(self) -> int:
         """Return how long the journal is, when all of it is on disk."""
