@@ -18,7 +18,7 @@ def draw_pictures(folder: Path) -> None:
     from dafw.views import draw_all
 
     try:
-        with open_run(folder) as run:
+        with open_run(folder, indexed=False) as run:
             for path in draw_all(run, folder / "figures"):
                 log.info("picture %s", path.name)
         if (folder / FILE).exists():

@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import matplotlib
 from matplotlib.figure import Figure
 
 from dafw.core.errors import RunError
@@ -199,7 +198,6 @@ def save(figure: Figure, file: Path, paper: Paper = SCREEN) -> Path:
     for axes in figure.axes:
         for spine in axes.spines.values():
             spine.set_in_layout(False)
-    # The names of parts in an SVG are random without a salt.
-    with atomic_file(file) as stream, matplotlib.rc_context({"svg.hashsalt": "dafw"}):
-        figure.savefig(stream, **paper.settings(figure))
+    with atomic_file(file) as stream:
+        paper.write(figure, stream)
     return file

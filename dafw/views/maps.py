@@ -205,4 +205,4 @@ def _last_time(run: Dataset) -> str:
 
 
 def _error(run: Dataset, score: str) -> str:
-    return f" (ERR {float(run[score][-1]):.0f} %)" if score in run.variables else ""
+    return f" (ERR {float(run[score][-1]):.1f} %)" if score in run.variables else ""

@@ -21,6 +21,7 @@ from dafw.plugins.filters.etkf import ETKF
 from dafw.plugins.readings.listed import Listed
 from dafw.views import compare, draw_all, draw_runs, plot_route
 from dafw.views.files import save
+from dafw.views.printing import Paper
 
 
 def names(files):
@@ -204,11 +205,11 @@ def test_an_interrupted_save_keeps_the_former_picture(tmp_path, monkeypatch):
     file = save(Figure(), tmp_path / "err.png")
     before = file.read_bytes()
 
-    def fail(self, stream, **_):
+    def fail(self, figure, stream):
         stream.write(b"half a picture")
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(Figure, "savefig", fail)
+    monkeypatch.setattr(Paper, "write", fail)
     with pytest.raises(KeyboardInterrupt):
         save(Figure(), file)
     assert file.read_bytes() == before
@@ -220,11 +221,15 @@ def test_no_interactive_matplotlib_is_loaded():
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
-def test_drawing_a_run_loads_neither_dask_nor_pint(plant_folder, tmp_path):
+PLOT = "from dafw.views import draw_runs; draw_runs([folder], folder)"
+END = "from dafw.studies.pictures import draw_pictures; draw_pictures(folder)"
+
+
+@pytest.mark.parametrize("draw", [PLOT, END], ids=["dafw plot", "the end of a run"])
+def test_drawing_a_run_loads_neither_dask_nor_pint(plant_folder, draw):
     # With them the pictures of a run would take a third longer.
     code = (
-        "import pathlib, sys\nfrom dafw.views import draw_runs\n"
-        f"draw_runs([pathlib.Path({str(plant_folder)!r})], pathlib.Path({str(tmp_path)!r}))\n"
+        f"import pathlib, sys; folder = pathlib.Path({str(plant_folder)!r})\n{draw}\n"
         "sys.exit(bool({'dask.array', 'pint'} & sys.modules.keys()))"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

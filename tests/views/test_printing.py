@@ -22,7 +22,8 @@ from dafw.views import (
     plot_times,
 )
 from dafw.views.files import save
-from dafw.views.printing import Paper, fit
+from dafw.views.printing import EDGE, Paper, _pixels, _with_edges, fit
+from dafw.views.style import RESOLUTION
 from dafw.views.times import difference_scale, rows_at
 
 
@@ -84,6 +85,29 @@ def test_a_picture_is_as_wide_as_it_was_asked_for(plant_run, tmp_path, width):
     assert float(box[1]) == pytest.approx(72 * inches, abs=0.01)
     svg = re.search(r'<svg [^>]*width="([\d.]+)pt"', (tmp_path / "three.svg").read_text())
     assert float(svg[1]) == pytest.approx(72 * inches, abs=0.01)
+
+
+def test_empty_edges_of_a_map_are_cut_off(plant_run, tmp_path):
+    figure = plot_route({"belief": plant_run})
+    pixels = imread(save(figure, tmp_path / "route.png"))
+    assert pixels.shape[2] == 3, "without a fourth number, which says how transparent a picture is"
+    drawn = (pixels != 1.0).any(axis=2)
+    for axis in (0, 1):
+        inked = drawn.any(axis=1 - axis).nonzero()[0]
+        assert inked[0] == drawn.shape[axis] - 1 - inked[-1] == round(EDGE * RESOLUTION)
+    whole = _pixels(plot_route({"belief": plant_run}), RESOLUTION)
+    inked = (whole != 255).any(axis=2)
+    rows, columns = (np.flatnonzero(inked.any(axis=axis)) for axis in (1, 0))
+    edge = round(EDGE * RESOLUTION)
+    np.testing.assert_array_equal(
+        np.round(255 * pixels[edge:-edge, edge:-edge]).astype(np.uint8),
+        whole[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1],
+    )
+
+
+def test_a_picture_with_nothing_on_it_stays_as_it_is():
+    empty = np.full((4, 5, 3), 255, dtype=np.uint8)
+    np.testing.assert_array_equal(_with_edges(empty, 1), empty)
 
 
 def test_what_is_said_in_a_column_stays_inside_and_can_be_read(plant_run):
