@@ -23,6 +23,8 @@ def replay_command(words: Sequence[str]) -> int:
     run = prepared(folder)
     for changed in run.versions:
         print(f"another version: {changed}")
+    for changed in run.files:
+        print(f"another file: {changed}")
     try:
         found = first_difference(run)
     except Interrupted:

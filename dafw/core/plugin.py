@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import traceback
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from math import isfinite
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any, ClassVar, Self
 
@@ -56,6 +57,15 @@ class Plugin:
     def label(self) -> str:
         """The plugin as messages name it: ``filter 'etkf'``."""
         return f"{self.kind} '{self.name or type(self).__name__}'"
+
+    @property
+    def input_files(self) -> Sequence[Path]:
+        """The files with readings, winds and the like that decide the numbers of a run.
+
+        A run's summary has a digest of each; a run goes on, after a kill, only if they are the same. Raises a
+        DafwError if there are no such files.
+        """
+        return ()
 
     def require_variable(self, space: StateSpace, name: str) -> Variable:
         """Return the state variable ``name``; raises ConfigurationError that names the plugin."""

@@ -89,6 +89,7 @@ class Checkpointing:
             "configuration": self._configuration,
             "versions": summary.versions,
             "pinned": summary.pinned,
+            "files": dict(summary.files),
             "start": self._start,
             "journals": {name: journal.length() for name, journal in self._journals.items()},
             "state": tree,

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dafw.core.checkpoints.fingerprint import changed_versions
+from dafw.core.checkpoints.fingerprint import changed_files, changed_versions, digests_of_files
 from dafw.core.errors import RunError
 from dafw.core.forecasts.forecast_file import FILE, open_forecasts
 from dafw.core.pinned import pinned_study
@@ -31,11 +31,12 @@ QUIET = {"pictures": False, "resume": "never", "checkpoint": {"every": None, "cy
 
 @dataclass(frozen=True)
 class Prepared:
-    """A run that can be made again: its study, and in words which versions are other ones now."""
+    """A run that can be made again: its study, and in words which versions and files are other ones now."""
 
     folder: Path
     study: Any
     versions: list[str]
+    files: list[str]
 
 
 def prepared(folder: Path) -> Prepared:
@@ -51,7 +52,8 @@ def prepared(folder: Path) -> Prepared:
         study = study_from({**configuration_of(folder), **QUIET})
         study = pinned_study(study, summary.get("pinned") or {})
         study = replace(study, readings=study.readings.again(folder))
-    return Prepared(folder, study, changed_versions(summary.get("versions") or {}, versions_of(study)))
+        files = changed_files(summary.get("files") or {}, digests_of_files(study))
+    return Prepared(folder, study, changed_versions(summary.get("versions") or {}, versions_of(study)), files)
 
 
 def first_difference(run: Prepared) -> str:

@@ -13,7 +13,16 @@ from typing import Any
 from filelock import FileLock, Timeout
 
 from dafw.core.checkpoints.checkpoint_file import FOLDER, Checkpoint, checkpoints, read_checkpoint
-from dafw.core.checkpoints.fingerprint import changed_versions, compared, described, difference, digest, start_digest
+from dafw.core.checkpoints.fingerprint import (
+    changed_files,
+    changed_versions,
+    compared,
+    described,
+    difference,
+    digest,
+    digests_of_files,
+    start_digest,
+)
 from dafw.core.checkpoints.journal import FORECASTS, ROWS, entries
 from dafw.core.checkpoints.values import unpacked
 from dafw.core.cycle import Parts, State
@@ -111,6 +120,11 @@ def _require_same(folder: Path, study: Study, found: Checkpoint) -> None:
         raise RunError(
             f"{folder}: its run cannot go on to the same bits with other versions: {', '.join(changed)}; install the "
             f"former ones, or run it anew in another folder"
+        )
+    if changed := changed_files(found.told.get("files", {}), digests_of_files(study)):
+        raise RunError(
+            f"{folder}: its run cannot go on, because files that it read have changed: {', '.join(changed)}; to run "
+            f"with them, choose another folder"
         )
 
 

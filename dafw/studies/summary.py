@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from dafw.core.checkpoints.fingerprint import digests_of_files
 from dafw.core.cycle import Cycle, Parts, State
 from dafw.core.registry import registry
 from dafw.core.study import Study
@@ -41,6 +42,7 @@ class Summary:
         self.pinned: dict[str, Mapping[str, Any]] = {}
         self.forecasts: Mapping[str, Any] | None = None
         self.versions = versions_of(study)
+        self.files = digests_of_files(study)
         self._seconds: defaultdict[str, float] = defaultdict(float)
         self._scores: Mapping[str, float] = {}
         self._parameters: dict[str, dict[str, float | None]] = {}
@@ -159,6 +161,7 @@ class Summary:
             "versions": self.versions,
             "forecasts": None if self.forecasts is None else dict(self.forecasts),
             "configuration": self.configuration,
+            "files": dict(self.files),
             "working_folder": self.working_folder,
             "resumed_after": self.resumed_after,
         }

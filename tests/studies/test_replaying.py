@@ -51,6 +51,26 @@ def test_a_run_is_made_again_and_other_versions_are_said_first(run, capsys):
     assert sorted(path.name for path in run.parent.iterdir()) == ["run"]
 
 
+def test_a_changed_file_of_readings_is_said_first(tmp_path, capsys):
+    file, run = tmp_path / "readings.csv", tmp_path / "run"
+    file.write_text("time,value,sensor\n1,1.0,a\n3,2.0,b\n")
+    words = [
+        "experiment=linear_advection",
+        "filter=etkf",
+        "truth=null",
+        "free=null",
+        "readings=recorded",
+        f"readings.file={file}",
+    ]
+    words += ["readings.entries={a: 3, b: 9}", "readings.sd=0.5", "members=5", "cycles=4", "pictures=false"]
+    assert said(["run", *words, f"hydra.run.dir={run}"], capsys)[0] == 0
+    assert said(["replay", str(run)], capsys)[:2] == (0, ["identical"])
+    file.write_text("time,value,sensor\n1,1.0,a\n3,2.5,b\n")
+    status, out, _ = said(["replay", str(run)], capsys)
+    assert status == 1 and out[0] == f"another file: {file} has another content"
+    assert out[1].startswith("different: u_mean, at time 3 s")
+
+
 def changed(run, name, place, file="run.nc"):
     """Change the last bit of a number in a file."""
     with netCDF4.Dataset(run / file, "r+") as opened:

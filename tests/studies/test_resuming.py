@@ -11,7 +11,7 @@ from filelock import FileLock
 from killed import killed
 
 import dafw
-from dafw import CheckpointError, ForecastPlan, RunError, Study
+from dafw import CheckpointError, DafwError, ForecastPlan, RunError, Study
 from dafw.commands import main
 from dafw.core.checkpoints.checkpoint_file import FOLDER, checkpoints
 from dafw.core.checkpoints.plan import CheckpointPlan
@@ -30,6 +30,7 @@ from dafw.plugins.models.linear_advection import LinearAdvection
 from dafw.plugins.models.lorenz96 import Lorenz96
 from dafw.plugins.observers.grid import Grid
 from dafw.plugins.policies.stationary import Stationary
+from dafw.plugins.readings.recorded import Recorded
 from dafw.plugins.readings.twin import Twin
 from dafw.studies.from_python import keep_configuration
 from dafw.studies.replaying import difference_of
@@ -240,6 +241,26 @@ def test_other_versions_are_refused_and_named(unfinished, monkeypatch):
     edited(folder, monkeypatch, versions={**summary_of(folder)["versions"], "dafw": "0.0.1"})
     with pytest.raises(RunError, match=r"same bits with other versions: dafw was 0.0.1 and is .*; install the former"):
         run_study(study, folder, resume=True)
+
+
+def test_a_run_goes_on_only_with_the_files_that_it_has_read(tmp_path, monkeypatch):
+    file, folder = tmp_path / "readings.csv", tmp_path / "run"
+    file.write_text("time,value,entry\n0.05,1.0,3\n0.3,2.0,4\n")
+    readings = Recorded.from_options(file=str(file), sd=1.0, entries={"": 3})
+    study = replace(lorenz96(ETKF(), readings=readings), truth=None, free=None)
+    killed(monkeypatch, lambda: run_study(study, folder), 6)
+    assert list(summary_of(folder)["files"]) == [str(file)]
+    before = file.read_bytes()
+    for change, words in (
+        (lambda: file.write_bytes(before + b"0.4,1.0,3\n"), "readings.csv has another content"),
+        (lambda: file.unlink(), "not found"),
+    ):
+        change()
+        with pytest.raises(DafwError, match=words):
+            run_study(study, folder, resume=True)
+        assert len(checkpoints(folder / FOLDER)) == 2, "nothing is lost"
+    file.write_bytes(before)
+    assert run_study(study, folder, resume=True)["status"] == "complete"
 
 
 def test_another_start_is_refused(unfinished, monkeypatch):

@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, fields, is_dataclass
+from pathlib import Path
 from typing import Any
 from zlib import crc32
 
@@ -65,10 +66,36 @@ def changed_versions(before: Mapping[str, str], now: Mapping[str, str]) -> list[
     ]
 
 
+def digests_of_files(study: Study) -> dict[str, str]:
+    """Return by path the digests of the files that decide the numbers of a study; '' for one that is not there.
+
+    Raises a DafwError if a part does not find its files any more.
+    """
+    paths = dict.fromkeys(path for part in study.parts_by_role.values() for path in part.input_files)
+    return {str(path): _file_digest(path) for path in paths}
+
+
+def changed_files(before: Mapping[str, str], now: Mapping[str, str]) -> list[str]:
+    """Return the files that differ, in words: ``flight.csv has another content``."""
+    changed = [path for path in dict.fromkeys([*before, *now]) if before.get(path) != now.get(path)]
+    return [
+        f"{path} {'is new' if path not in before else 'has another content' if now.get(path) else 'is not there'}"
+        for path in changed
+    ]
+
+
 def start_digest(state: State) -> str:
     """Return a short text that is the same for the same bits of the belief, truth and free run at the start."""
     found = (None if one is None else one.ensemble.members for one in (state.belief, state.truth, state.free))
     return " ".join("none" if one is None else f"{crc32(np.ascontiguousarray(one)):08x}" for one in found)
+
+
+def _file_digest(path: Path) -> str:
+    try:
+        with path.open("rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()[:32]
+    except OSError:
+        return ""
 
 
 def _options(part: Any) -> dict[str, Any]:

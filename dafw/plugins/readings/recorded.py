@@ -7,9 +7,10 @@ site or inside a building. Readings from before the start are counted by the loo
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,7 @@ from dafw.core.observation import Interpolation, Observation
 from dafw.core.options import build, option
 from dafw.core.space import Array, StateSpace
 from dafw.plugins.observers.path import ends_of
-from dafw.plugins.readings.files.any_file import EXAMPLE, read_table
+from dafw.plugins.readings.files.any_file import EXAMPLE, paths_of, read_table
 from dafw.plugins.readings.files.options import FileOptions
 from dafw.plugins.readings.files.placing import (
     Placed,
@@ -134,6 +135,11 @@ class Recorded(SensorOptions, FileOptions, Readings):
             if not isinstance(own, Mapping):
                 raise ConfigurationError(f"{where}: expected a mapping of options, got {own!r}")
             build(SensorOptions, own, where)
+
+    @property
+    def input_files(self) -> Sequence[Path]:
+        """The files with the readings."""
+        return paths_of(self)
 
     @cached_property
     def rows(self) -> Table:

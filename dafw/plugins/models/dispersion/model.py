@@ -16,6 +16,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import accumulate
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -34,6 +35,7 @@ from dafw.plugins.models.dispersion.transport.kept import KeptSystems
 from dafw.plugins.models.dispersion.transport.options import TransportOptions, require_one_process
 from dafw.plugins.models.dispersion.unknowns import Possible, unknowns
 from dafw.plugins.models.dispersion.wind_change import WindChange, WindChangeOptions
+from dafw.plugins.models.wind_record import wind_files
 
 if TYPE_CHECKING:
     from dafw.plugins.models.dispersion.transport.transport import System, Transport
@@ -121,6 +123,11 @@ class AdvectionDiffusion(OnMesh):
             measured = self._wind_change.at_start
             return measured[0] if speed is None else speed, measured[1] if direction is None else direction
         return speed, direction
+
+    @property
+    def input_files(self) -> Sequence[Path]:
+        """The files with a measured wind. A changed site is noticed by the state at the start."""
+        return wind_files(self.wind_change.measured) if self.wind_change.kind == "measured" else ()
 
     def own_unknowns(self) -> Mapping[str, Possible]:
         """Return what can be estimated of this model beside what all have, by name."""

@@ -14,9 +14,10 @@ This module is imported with the models' options, so it must be light.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -28,7 +29,7 @@ from dafw.core.priors import Prior
 from dafw.core.rng import MemberStreams
 from dafw.core.sharing import Shared
 from dafw.core.space import FIELD, POSITIVE, Array, Kind, Variable
-from dafw.plugins.models.wind_record import WindFile
+from dafw.plugins.models.wind_record import WindFile, wind_files
 
 if TYPE_CHECKING:
     from dafw.plugins.models.wind_record import WindRecord
@@ -138,6 +139,11 @@ class Leak(Model):
     def share_with(self, shared: Shared) -> None:
         """Read the wind once for all models of a run."""
         self._shared = shared
+
+    @property
+    def input_files(self) -> Sequence[Path]:
+        """The files with the wind."""
+        return wind_files(self.wind)
 
     @cached_property
     def record(self) -> WindRecord:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from dafw.core.errors import ReadingsError
 from dafw.plugins.readings.files.options import FileOptions
-from dafw.plugins.readings.files.several import is_pattern, read_several
+from dafw.plugins.readings.files.several import files_of, is_pattern, read_several
 from dafw.plugins.readings.files.table import Table, about
 
 SUFFIXES = {".csv": "csv", ".txt": "csv", ".tsv": "csv", ".nc": "netcdf", ".geojson": "geojson", ".json": "geojson"}
@@ -24,6 +24,16 @@ def path_of(options: FileOptions) -> Path:
         raise about(options.file, "is a folder, expected a file" if path.is_dir() else "not found")
     except (OSError, ValueError) as error:  # a name that no file can have
         raise about(options.file[:80], f"not found ({error})") from None
+
+
+def paths_of(options: FileOptions) -> list[Path]:
+    """Return the paths of all files that the options name; raises ReadingsError if there are none.
+
+    The one that ships with dafw is not among them: it is as old as dafw.
+    """
+    if options.file == EXAMPLE:
+        return []
+    return list(files_of(options.file).values()) if is_pattern(options.file) else [path_of(options)]
 
 
 def read_table(options: FileOptions) -> Table:
