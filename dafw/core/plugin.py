@@ -60,10 +60,11 @@ class Plugin:
 
     @property
     def input_files(self) -> Sequence[Path]:
-        """The files with readings, winds and the like that decide the numbers of a run.
+        """The files with readings, winds and the like that decide the numbers of a run; none, unless a plugin says so.
 
-        A run's summary has a digest of each; a run goes on, after a kill, only if they are the same. Raises a
-        DafwError if there are no such files.
+        A run's summary has a digest of each, and after a kill the run goes on only if they are the same. Relative
+        paths count from the folder in which the run works. Raises a DafwError if a file that an option names is not
+        there.
         """
         return ()
 

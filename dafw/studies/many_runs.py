@@ -27,6 +27,7 @@ from dafw.core.study import Study
 from dafw.core.workers import cores
 from dafw.studies.floors import composed_for_floors, find_floors, named
 from dafw.studies.reporting import log_file
+from dafw.studies.resuming import require_same_files
 from dafw.studies.running import SHOWN_BY_BUILDING
 from dafw.studies.side_by_side import Task, run_side_by_side, status_of_run
 from dafw.studies.stopping import Interrupted, stop_signals
@@ -109,6 +110,9 @@ def run_missing(
     again = (*TO_BE_RUN, "failed") if retry else TO_BE_RUN
     with _held(folder), log_file(folder / "study.log"), stop_signals():
         there = statuses(study, folder)
+        for one, seed in runs_of(study):
+            if there[one.name, seed] == "complete":
+                require_same_files(run_folder(folder, one, seed))
         todo = [(one, seed) for one, seed in runs_of(study) if there[one.name, seed] in again]
         tasks = [Task(one.overrides, seed, run_folder(folder, one, seed), more) for one, seed in todo]
         try:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dafw.core.checkpoints.fingerprint import changed_files, changed_versions, digests_of_files
+from dafw.core.checkpoints.fingerprint import changed_since, changed_versions
 from dafw.core.errors import RunError
 from dafw.core.forecasts.forecast_file import FILE, open_forecasts
 from dafw.core.pinned import pinned_study
@@ -52,7 +52,7 @@ def prepared(folder: Path) -> Prepared:
         study = study_from({**configuration_of(folder), **QUIET})
         study = pinned_study(study, summary.get("pinned") or {})
         study = replace(study, readings=study.readings.again(folder))
-        files = changed_files(summary.get("files") or {}, digests_of_files(study))
+        files = changed_since(summary.get("files") or {})
     return Prepared(folder, study, changed_versions(summary.get("versions") or {}, versions_of(study)), files)
 
 

@@ -15,6 +15,7 @@ from filelock import FileLock, Timeout
 from dafw.core.checkpoints.checkpoint_file import FOLDER, Checkpoint, checkpoints, read_checkpoint
 from dafw.core.checkpoints.fingerprint import (
     changed_files,
+    changed_since,
     changed_versions,
     compared,
     described,
@@ -63,7 +64,8 @@ def holds_run(folder: Path) -> bool:
 def is_complete(folder: Path, study: Study) -> bool:
     """Return whether a folder holds the complete run of a study.
 
-    Raises RunError if it holds a run of another configuration, or a complete one of which it is not known.
+    Raises RunError if it holds a run of another configuration, a complete one of which it is not known, or a complete
+    one that read files which have changed.
     """
     if not holds_run(folder):
         return False
@@ -73,7 +75,18 @@ def is_complete(folder: Path, study: Study) -> bool:
         known = digest(compared(configuration_of(folder)))
     if known and known != digest(described(study)):
         raise RunError(f"{folder}: {_other(folder, study)}; {OTHER}")
+    if complete:
+        require_same_files(folder)
     return complete
+
+
+def require_same_files(folder: Path) -> None:
+    """Raise RunError if a file that the complete run in a folder read has changed; it may be gone."""
+    if changed := changed_since(summary_of(folder).get("files") or {}):
+        raise RunError(
+            f"{folder}: its run is complete, but files that it read are other ones now: {', '.join(changed)}; "
+            f"to run with them, choose another folder"
+        )
 
 
 def said_of_complete(folder: Path) -> str:
@@ -121,10 +134,11 @@ def _require_same(folder: Path, study: Study, found: Checkpoint) -> None:
             f"{folder}: its run cannot go on to the same bits with other versions: {', '.join(changed)}; install the "
             f"former ones, or run it anew in another folder"
         )
-    if changed := changed_files(found.told.get("files", {}), digests_of_files(study)):
+    files = digests_of_files(study)
+    if changed := changed_files(found.told.get("files", files), files):
         raise RunError(
-            f"{folder}: its run cannot go on, because files that it read have changed: {', '.join(changed)}; to run "
-            f"with them, choose another folder"
+            f"{folder}: its run cannot go on, because files that it read are other ones now: {', '.join(changed)}; to "
+            f"run with them, choose another folder"
         )
 
 

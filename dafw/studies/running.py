@@ -15,7 +15,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from dafw.core.checkpoints.checkpoint_file import FOLDER, Checkpoint
-from dafw.core.checkpoints.fingerprint import described, digest
+from dafw.core.checkpoints.fingerprint import described, digest, digests_of_files
 from dafw.core.checkpoints.journal import FORECASTS, ROWS, entries
 from dafw.core.cycle import Cycle, Parts, State, advance, start
 from dafw.core.ensemble import Vehicle
@@ -88,7 +88,9 @@ def run_study(study: Study, folder: Path, communicator: Any = None, *, resume: b
         told = described(study)
         if before is not None:
             study = pinned_study(study, before.told["pinned"])
-        # A wrong request raises here, before anything is written.
+        # A wrong request raises here, before anything is written. Digests come first: a file that grows meanwhile
+        # must not have that of lines which were not read.
+        files = digests_of_files(study)
         parts, vehicle = study.prepare(communicator)
         if not goes_on:
             folder.mkdir(parents=True, exist_ok=True)
@@ -96,7 +98,8 @@ def run_study(study: Study, folder: Path, communicator: Any = None, *, resume: b
             claim(folder / "summary.json")
         elif before is None:
             cleared(folder)
-        return _carried_out(_Run(study, told, folder, begun, communicator, before), parts, vehicle)
+        run = _Run(study, told, files, folder, begun, communicator, before)
+        return _carried_out(run, parts, vehicle)
 
 
 def _carried_out(run: _Run, parts: Parts, vehicle: Vehicle) -> dict[str, Any]:
@@ -151,12 +154,17 @@ def refuse_run(folder: Path, communicator: Any = None) -> None:
 
 
 class _Run:
-    """One run in progress. ``told`` is its configuration; ``before`` the checkpoint from which it goes on."""
+    """One run in progress.
+
+    ``told`` is its configuration, ``files`` has the digests of what it reads, ``before`` is the checkpoint from which
+    it goes on.
+    """
 
     def __init__(
         self,
         study: Study,
         told: Mapping[str, Any],
+        files: Mapping[str, str],
         folder: Path,
         begun: float,
         communicator: Any,
@@ -173,7 +181,7 @@ class _Run:
         """The state to which all that is written belongs; None while a cycle is being written."""
         self._writing = _Writing(folder)
         self._told = told
-        self.summary.configuration = digest(told)
+        self.summary.configuration, self.summary.files = digest(told), files
         if before is not None:
             try:
                 self.summary.go_on(before.told["summary"])

@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 
-from dafw.core.checkpoints.fingerprint import digests_of_files
 from dafw.core.cycle import Cycle, Parts, State
 from dafw.core.registry import registry
 from dafw.core.study import Study
@@ -42,7 +41,7 @@ class Summary:
         self.pinned: dict[str, Mapping[str, Any]] = {}
         self.forecasts: Mapping[str, Any] | None = None
         self.versions = versions_of(study)
-        self.files = digests_of_files(study)
+        self.files: Mapping[str, str] = {}
         self._seconds: defaultdict[str, float] = defaultdict(float)
         self._scores: Mapping[str, float] = {}
         self._parameters: dict[str, dict[str, float | None]] = {}

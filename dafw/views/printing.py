@@ -72,15 +72,23 @@ SCREEN = Paper()
 
 
 def _pixels(figure: Figure, dots: int) -> np.ndarray:
-    """Return the picture (rows, columns, 3) with so many dots per inch."""
-    before = figure.dpi
+    """Return the picture (rows, columns, 3) with so many dots per inch; what is transparent is white."""
+    ground = matplotlib.rcParams["savefig.facecolor"]
+    before = figure.dpi, figure.get_facecolor(), figure.canvas
     try:
         figure.dpi = dots
+        figure.set_facecolor(before[1] if ground == "auto" else ground)
         canvas = FigureCanvasAgg(figure)
         canvas.draw()
-        return np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[..., :3])
+        drawn = np.asarray(canvas.buffer_rgba())
     finally:
-        figure.dpi = before
+        figure.dpi = before[0]
+        figure.set_facecolor(before[1])
+        figure.set_canvas(before[2])
+    colours, cover = drawn[..., :3], drawn[..., 3:]
+    if (cover < 255).any():
+        colours = np.round(255.0 + (colours - 255.0) * (cover / 255.0)).astype(np.uint8)
+    return np.ascontiguousarray(colours)
 
 
 def _with_edges(pixels: np.ndarray, width: int) -> np.ndarray:

@@ -106,6 +106,21 @@ def test_a_study_leaves_ordinary_runs_and_their_statistics(finished, monkeypatch
         np.testing.assert_array_equal(results["err_final"], finals)
 
 
+def test_runs_that_read_other_files_are_not_mixed(capsys):
+    recorded = ["truth=null", "free=null", "readings=recorded", "readings.file=seen.csv", "readings.sd=0.5"]
+    write(overrides=[*SMALL, "filter=etkf", *recorded, "readings.entries={a: 3}"], axes={}, configurations={"one": []})
+    seen = Path("seen.csv")
+    seen.write_text("time,value,sensor\n1,1.0,a\n3,2.0,a\n")
+    assert main([*WORDS, "--seeds", "1"]) == 0
+    capsys.readouterr()
+    seen.write_text("time,value,sensor\n1,1.0,a\n3,2.0,a\n4,2.0,a\n")
+    line = refused([*WORDS, "--seeds", "1-2"], capsys)
+    assert (
+        "seed=1: its run is complete, but files that it read are other ones now: seen.csv has changed; to run" in line
+    )
+    assert not Path("done/runs/one/seed=2").exists()
+
+
 def test_what_is_there_is_not_run_again(done, capsys):
     before, results = ages(), Path("done/summary.json").read_bytes()
     assert main(WORDS) == 0 and ages() == before

@@ -75,6 +75,16 @@ def test_ranks_of_cycles_together_are_those_of_each(kinds):
         np.testing.assert_array_equal(one, [*right, np.nan])
 
 
+def test_what_waits_is_a_copy():
+    observation, forecast, predicted = cycle(np.random.default_rng(7), 8, 10)
+    expected = ranks(observation.values, observation.variance, predicted)
+    ranking, told = Ranking(), np.full(10, np.nan)
+    ranking.add(told, observation, forecast, predicted)
+    predicted[:] = 0.0  # an operator may use its array again
+    ranking.settle()
+    np.testing.assert_array_equal(told, expected)
+
+
 def test_few_predictions_wait():
     observation, forecast, predicted = cycle(np.random.default_rng(7), 8, 100)
     ranking, told = Ranking(), []

@@ -27,6 +27,7 @@ from dafw.core import record as recording
 from dafw.core.checkpoints.journal import Journal, entries
 from dafw.core.cycle import advance, start
 from dafw.core.ensemble import Diagnostic, Route
+from dafw.core.ranks import ranks
 from dafw.core.record import Record
 from dafw.core.run_layout import READINGS_CACHE
 from dafw.plugins.filters.enks import EnKS
@@ -97,6 +98,18 @@ def test_rows_are_the_states_after_so_many_cycles(tmp_path):
             assert run["err"][row] == pytest.approx(expected, rel=1e-14)
         assert np.isnan(run["gas_forecast_mean"][0]).all() and run["gas_mean"][0].notnull().all()
         np.testing.assert_array_equal(run["vehicle_x"][:, 0], [0.0, 1.0, 2.0, 3.0])
+
+
+@pytest.mark.parametrize("seconds", [0.0, 1e9], ids=["each row is written at once", "all rows wait"])
+def test_ranks_are_those_of_each_cycle_whenever_rows_are_written(seconds, tmp_path, monkeypatch):
+    monkeypatch.setattr(recording, "FLUSH_SECONDS", seconds)
+    record, done = record_run(tmp_path / "run.nc", cycles=12)
+    record.close()
+    with open_run(tmp_path) as run:
+        for row, cycle in enumerate(done, start=1):
+            one = cycle.observation
+            expected = ranks(one.values, one.variance, cycle.predicted, cycle.forecast.weights)
+            np.testing.assert_array_equal(run["observation_rank"][row], expected)
 
 
 def test_fields_share_a_dimension_only_where_they_share_their_places(tmp_path):

@@ -67,7 +67,7 @@ def test_a_changed_file_of_readings_is_said_first(tmp_path, capsys):
     assert said(["replay", str(run)], capsys)[:2] == (0, ["identical"])
     file.write_text("time,value,sensor\n1,1.0,a\n3,2.5,b\n")
     status, out, _ = said(["replay", str(run)], capsys)
-    assert status == 1 and out[0] == f"another file: {file} has another content"
+    assert status == 1 and out[0] == f"another file: {file} has changed"
     assert out[1].startswith("different: u_mean, at time 3 s")
 
 

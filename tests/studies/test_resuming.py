@@ -11,7 +11,7 @@ from filelock import FileLock
 from killed import killed
 
 import dafw
-from dafw import CheckpointError, DafwError, ForecastPlan, RunError, Study
+from dafw import CheckpointError, ContractError, DafwError, ForecastPlan, RunError, Study
 from dafw.commands import main
 from dafw.core.checkpoints.checkpoint_file import FOLDER, checkpoints
 from dafw.core.checkpoints.plan import CheckpointPlan
@@ -252,7 +252,7 @@ def test_a_run_goes_on_only_with_the_files_that_it_has_read(tmp_path, monkeypatc
     assert list(summary_of(folder)["files"]) == [str(file)]
     before = file.read_bytes()
     for change, words in (
-        (lambda: file.write_bytes(before + b"0.4,1.0,3\n"), "readings.csv has another content"),
+        (lambda: file.write_bytes(before + b"0.4,1.0,3\n"), "readings.csv has changed"),
         (lambda: file.unlink(), "not found"),
     ):
         change()
@@ -261,6 +261,42 @@ def test_a_run_goes_on_only_with_the_files_that_it_has_read(tmp_path, monkeypatc
         assert len(checkpoints(folder / FOLDER)) == 2, "nothing is lost"
     file.write_bytes(before)
     assert run_study(study, folder, resume=True)["status"] == "complete"
+    assert is_complete(folder, study)
+    file.write_bytes(before + b"0.4,1.0,3\n")
+    with pytest.raises(
+        RunError, match=r"is complete, but files that it read are other ones now: .*readings.csv has ch"
+    ):
+        is_complete(folder, study)
+    file.unlink()  # of a run that is complete the files need not be there any more
+    assert is_complete(folder, study)
+
+
+@dataclass
+class Listing(Lorenz96):
+    """A model that says wrongly which files it reads."""
+
+    files: object = ()
+
+    @property
+    def input_files(self):
+        return self.files
+
+
+@pytest.mark.parametrize(
+    ("files", "message"),
+    [
+        ("wind.csv", "input_files must be a sequence of pathlib.Path, got 'wind.csv'"),
+        (["wind.csv"], r"input_files must be a sequence of pathlib.Path, got \['wind.csv'\]"),
+        (None, "input_files must be a sequence of pathlib.Path, got None"),
+        ([Path("nowhere.csv")], "input_files names nowhere.csv, which is no file"),
+        ([Path()], r"input_files names \., which is no file"),
+    ],
+)
+def test_files_that_are_none_are_refused_before_anything_is_written(files, message, tmp_path):
+    study = replace(lorenz96(ETKF()), model=Listing(files=files))
+    with pytest.raises(ContractError, match=f"model 'Listing': {message}"):
+        run_study(study, tmp_path / "run")
+    assert not (tmp_path / "run").exists()
 
 
 def test_another_start_is_refused(unfinished, monkeypatch):

@@ -232,7 +232,10 @@ def test_drawing_a_run_loads_neither_dask_nor_pint(plant_folder, draw):
         f"import pathlib, sys; folder = pathlib.Path({str(plant_folder)!r})\n{draw}\n"
         "sys.exit(bool({'dask.array', 'pint'} & sys.modules.keys()))"
     )
+    for picture in plant_folder.rglob("*.png"):
+        picture.unlink()
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+    assert {"err.png", "contours.png", "route.png"} <= {picture.name for picture in plant_folder.rglob("*.png")}
 
 
 def test_a_run_is_opened_as_xarray_opens_it(plant_folder):

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import re
 
+import matplotlib
 import numpy as np
 import pytest
 from absent import without_truth
+from matplotlib.figure import Figure
 from matplotlib.image import imread
 from matplotlib.text import Text
 
@@ -103,6 +105,30 @@ def test_empty_edges_of_a_map_are_cut_off(plant_run, tmp_path):
         np.round(255 * pixels[edge:-edge, edge:-edge]).astype(np.uint8),
         whole[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1],
     )
+
+
+@pytest.mark.parametrize(
+    ("settings", "ground"),
+    [
+        ({}, [255, 255, 255]),
+        ({"figure.facecolor": "none"}, [255, 255, 255]),
+        ({"figure.facecolor": (0.0, 0.0, 0.0, 0.2)}, [204, 204, 204]),
+        ({"figure.facecolor": "0.2"}, [51, 51, 51]),
+        ({"figure.facecolor": "0.2", "savefig.facecolor": "white"}, [255, 255, 255]),
+    ],
+)
+def test_the_ground_of_a_picture_is_as_matplotlib_is_told(settings, ground, tmp_path):
+    with matplotlib.rc_context(settings):
+        figure = Figure(figsize=(1.0, 1.0))
+        before = figure.canvas, figure.get_facecolor(), figure.dpi
+        figure.text(0.5, 0.5, "text", fontsize=20, ha="center")
+        pixels = _pixels(figure, 100)
+        assert pixels.shape == (100, 100, 3) and pixels[0, 0].tolist() == ground
+        assert (figure.canvas, figure.get_facecolor(), figure.dpi) == before
+        if ground == [255, 255, 255]:  # as savefig draws it, to the rounding of what is half transparent
+            figure.savefig(tmp_path / "saved.png", dpi=100, facecolor="white")
+            saved = np.round(255 * imread(tmp_path / "saved.png")[..., :3]).astype(int)
+            assert np.abs(saved - pixels).max() <= 2
 
 
 def test_a_picture_with_nothing_on_it_stays_as_it_is():

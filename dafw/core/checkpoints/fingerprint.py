@@ -1,10 +1,10 @@
-"""What must be the same for a run to go on: the configuration, the versions, and the start that both lead to."""
+"""What must be the same for a run to go on: configuration, versions, files of data, and the start they lead to."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, fields, is_dataclass
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,8 @@ from zlib import crc32
 import numpy as np
 
 from dafw.core.cycle import State
+from dafw.core.errors import ContractError
+from dafw.core.plugin import label_of, plugins_named
 from dafw.core.registry import registry
 from dafw.core.study import Study
 
@@ -66,22 +68,34 @@ def changed_versions(before: Mapping[str, str], now: Mapping[str, str]) -> list[
     ]
 
 
+@plugins_named()
 def digests_of_files(study: Study) -> dict[str, str]:
-    """Return by path the digests of the files that decide the numbers of a study; '' for one that is not there.
+    """Return by path the digests of the files that decide the numbers of a study.
 
-    Raises a DafwError if a part does not find its files any more.
+    Raises a DafwError that names the part if its files are not there, ContractError if it names none that can be read.
     """
-    paths = dict.fromkeys(path for part in study.parts_by_role.values() for path in part.input_files)
-    return {str(path): _file_digest(path) for path in paths}
+    return {str(path): _file_digest(part, path) for part in study.parts_by_role.values() for path in _files_of(part)}
 
 
 def changed_files(before: Mapping[str, str], now: Mapping[str, str]) -> list[str]:
-    """Return the files that differ, in words: ``flight.csv has another content``."""
+    """Return the files that differ, in words: ``flight.csv has changed``."""
     changed = [path for path in dict.fromkeys([*before, *now]) if before.get(path) != now.get(path)]
     return [
-        f"{path} {'is new' if path not in before else 'has another content' if now.get(path) else 'is not there'}"
+        f"{path} {'was not read then' if path not in before else 'has changed' if path in now else 'is not read now'}"
         for path in changed
     ]
+
+
+def changed_since(before: Mapping[str, str]) -> list[str]:
+    """Return which of the files with these digests have another content now; those that are gone are left out."""
+    there = {path: digest_of_file(Path(path)) for path in before if Path(path).is_file()}
+    return changed_files({path: before[path] for path in there}, there)
+
+
+def digest_of_file(path: Path) -> str:
+    """Return a short text that is the same for the same content; raises OSError."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()[:32]
 
 
 def start_digest(state: State) -> str:
@@ -90,12 +104,21 @@ def start_digest(state: State) -> str:
     return " ".join("none" if one is None else f"{crc32(np.ascontiguousarray(one)):08x}" for one in found)
 
 
-def _file_digest(path: Path) -> str:
+def _files_of(part: Any) -> Sequence[Path]:
+    """Return a part's files; raises ContractError unless they are paths."""
+    files = part.input_files
+    if not isinstance(files, Sequence) or not all(isinstance(path, Path) for path in files):
+        raise ContractError(f"{label_of(part)}: input_files must be a sequence of pathlib.Path, got {files!r}")
+    return files
+
+
+def _file_digest(part: Any, path: Path) -> str:
+    if not path.is_file():
+        raise ContractError(f"{label_of(part)}: input_files names {path}, which is no file")
     try:
-        with path.open("rb") as stream:
-            return hashlib.file_digest(stream, "sha256").hexdigest()[:32]
-    except OSError:
-        return ""
+        return digest_of_file(path)
+    except OSError as error:
+        raise ContractError(f"{label_of(part)}: {path} cannot be read ({error.strerror or error})") from error
 
 
 def _options(part: Any) -> dict[str, Any]:

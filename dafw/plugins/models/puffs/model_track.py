@@ -14,9 +14,10 @@ This module is imported with its options, so it must be light.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -26,7 +27,7 @@ from dafw.core.options import option
 from dafw.core.rng import MemberStreams
 from dafw.core.space import NONNEGATIVE, POSITIVE, Array, Kind, StateSpace, Variable
 from dafw.plugins.models.puffs.leak import PRIORS, UNKNOWN, Leak
-from dafw.plugins.models.puffs.track import Track, TrackFile, read_track
+from dafw.plugins.models.puffs.track import Track, TrackFile, read_track, track_files
 
 
 @dataclass
@@ -40,6 +41,11 @@ class PuffsTrack(Leak):
     }
 
     track: TrackFile = option(TrackFile, "where the sensor was")
+
+    @property
+    def input_files(self) -> Sequence[Path]:
+        """The files with the wind and with the track."""
+        return [*super().input_files, *track_files(self.track)]
 
     @property
     def named(self) -> str:
