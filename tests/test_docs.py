@@ -85,7 +85,7 @@ REDUCED = {
     ),
     r"^dafw study mine .*$": (rf"\g<0> {COARSE} {BASIS} --seeds 0", "one seed, and as above"),
     r"^dafw run .*experiment=mine .*$": (rf"\g<0> {COARSE} {BASIS}", "a coarse mesh, three members, one cycle"),
-    r"^dafw study forecast$": (
+    r"^dafw study forecast( --seeds 600-619 .*)?$": (
         f"dafw study forecast {COARSE} {BASIS} {AHEAD} --seeds 600 --configurations drawn",
         "one run with some 300 nodes, three members, one cycle, one forecast of two seconds",
     ),
