@@ -23,7 +23,7 @@ from dafw.core.observation import Observation
 from dafw.core.space import Array
 
 TOGETHER = 8192
-"""Predictions from which on a cycle is ranked alone, and several are at once. Their arrays fit into the fast memory."""
+"""Cycles wait to be ranked until they have so many predictions together: arrays that fit into the fast memory."""
 FARTHEST, STEPS = 8.5, 482
 """Range of the table of the normal distribution, in standard deviations, and its rows in one of them."""
 
@@ -72,10 +72,10 @@ class Ranking:
 
         ``predicted`` (N, m) is what the forecast predicts for them.
         """
-        # A copy of what waits: an operator may use its array again, or return a view that keeps an ensemble alive.
-        small = predicted.size < TOGETHER
-        values, variance = observation.values, observation.variance
-        self._waiting.append(_Cycle(told, values, variance, predicted.copy() if small else predicted, forecast.weights))
+        if predicted.size < TOGETHER:
+            # It waits: an operator may use its array again, or have returned a view that keeps an ensemble alive.
+            predicted = predicted.copy()
+        self._waiting.append(_Cycle(told, observation.values, observation.variance, predicted, forecast.weights))
         self._size += predicted.size
         if self._size >= TOGETHER:
             self.settle()

@@ -110,9 +110,10 @@ def run_missing(
     again = (*TO_BE_RUN, "failed") if retry else TO_BE_RUN
     with _held(folder), log_file(folder / "study.log"), stop_signals():
         there = statuses(study, folder)
-        for one, seed in runs_of(study):
-            if there[one.name, seed] == "complete":
-                require_same_files(run_folder(folder, one, seed))
+        complete = [
+            run_folder(folder, one, seed) for one, seed in runs_of(study) if there[one.name, seed] == "complete"
+        ]
+        require_same_files(complete)
         todo = [(one, seed) for one, seed in runs_of(study) if there[one.name, seed] in again]
         tasks = [Task(one.overrides, seed, run_folder(folder, one, seed), more) for one, seed in todo]
         try:

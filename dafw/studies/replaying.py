@@ -52,7 +52,7 @@ def prepared(folder: Path) -> Prepared:
         study = study_from({**configuration_of(folder), **QUIET})
         study = pinned_study(study, summary.get("pinned") or {})
         study = replace(study, readings=study.readings.again(folder))
-        files = changed_since(summary.get("files") or {})
+        files = changed_since(summary.get("files") or {}, {})
     return Prepared(folder, study, changed_versions(summary.get("versions") or {}, versions_of(study)), files)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import shutil
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -76,17 +76,19 @@ def is_complete(folder: Path, study: Study) -> bool:
     if known and known != digest(described(study)):
         raise RunError(f"{folder}: {_other(folder, study)}; {OTHER}")
     if complete:
-        require_same_files(folder)
+        require_same_files([folder])
     return complete
 
 
-def require_same_files(folder: Path) -> None:
-    """Raise RunError if a file that the complete run in a folder read has changed; it may be gone."""
-    if changed := changed_since(summary_of(folder).get("files") or {}):
-        raise RunError(
-            f"{folder}: its run is complete, but files that it read are other ones now: {', '.join(changed)}; "
-            f"to run with them, choose another folder"
-        )
+def require_same_files(folders: Iterable[Path]) -> None:
+    """Raise RunError if a file that the complete run in one of the folders read has changed; it may be gone."""
+    now: dict[str, str] = {}
+    for folder in folders:
+        if changed := changed_since(summary_of(folder).get("files") or {}, now):
+            raise RunError(
+                f"{folder}: its run is complete, but files that it read are other ones now: {', '.join(changed)}; to "
+                f"run with them, choose another folder"
+            )
 
 
 def said_of_complete(folder: Path) -> str:

@@ -42,6 +42,7 @@ def test_all_files_are_named(tmp_path):
     options = {"track": {"file": str(tmp_path / "track.csv")}, "wind": {"file": str(tmp_path / "wind.csv")}}
     model = PuffsTrack.from_options(**PuffsTrack.check_options() | options)
     assert set(model.input_files) == {tmp_path / "track.csv", tmp_path / "wind.csv"}
+    assert PuffsTrack.from_options(**PuffsTrack.check_options()).input_files == [], "points and a steady wind"
     readings = Recorded.from_options(file=str(tmp_path / "beam*.csv"), sd=1.0)
     assert list(readings.input_files) == [tmp_path / "beam1.csv", tmp_path / "beam2.csv"]
     shipped = Recorded.from_options(file="example")

@@ -86,10 +86,14 @@ def changed_files(before: Mapping[str, str], now: Mapping[str, str]) -> list[str
     ]
 
 
-def changed_since(before: Mapping[str, str]) -> list[str]:
-    """Return which of the files with these digests have another content now; those that are gone are left out."""
-    there = {path: digest_of_file(Path(path)) for path in before if Path(path).is_file()}
-    return changed_files({path: before[path] for path in there}, there)
+def changed_since(before: Mapping[str, str], known: dict[str, str]) -> list[str]:
+    """Return which of the files with these digests have another content now; those that are gone are left out.
+
+    ``known`` has the digests of now that are known already; what is found is added.
+    """
+    known |= {path: digest_of_file(Path(path)) for path in before if path not in known and Path(path).is_file()}
+    there = [path for path in before if path in known]
+    return changed_files({path: before[path] for path in there}, {path: known[path] for path in there})
 
 
 def digest_of_file(path: Path) -> str:

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -166,13 +165,6 @@ def _turbulence(time: Array, wind: Array) -> Array:
     mean, square = np.split((sums[last] - sums[first]) / count, 2, axis=1)
     variance = np.maximum(square - mean**2, 0.0)
     return np.sqrt(np.stack([0.5 * (variance[:, 0] + variance[:, 1]), variance[:, 2]], axis=1))
-
-
-def wind_files(options: WindColumns) -> Sequence[Path]:
-    """Return the files that the options name; none for a steady wind. Raises ReadingsError if they are not there."""
-    from dafw.plugins.readings.files.any_file import paths_of
-
-    return paths_of(options) if options.file else ()
 
 
 def read_wind(options: WindFile) -> WindRecord:

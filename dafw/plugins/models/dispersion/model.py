@@ -35,7 +35,6 @@ from dafw.plugins.models.dispersion.transport.kept import KeptSystems
 from dafw.plugins.models.dispersion.transport.options import TransportOptions, require_one_process
 from dafw.plugins.models.dispersion.unknowns import Possible, unknowns
 from dafw.plugins.models.dispersion.wind_change import WindChange, WindChangeOptions
-from dafw.plugins.models.wind_record import wind_files
 
 if TYPE_CHECKING:
     from dafw.plugins.models.dispersion.transport.transport import System, Transport
@@ -127,7 +126,9 @@ class AdvectionDiffusion(OnMesh):
     @property
     def input_files(self) -> Sequence[Path]:
         """The files with a measured wind. A changed site is noticed by the state at the start."""
-        return wind_files(self.wind_change.measured) if self.wind_change.kind == "measured" else ()
+        from dafw.plugins.readings.files.any_file import paths_of
+
+        return paths_of(self.wind_change.measured)
 
     def own_unknowns(self) -> Mapping[str, Possible]:
         """Return what can be estimated of this model beside what all have, by name."""

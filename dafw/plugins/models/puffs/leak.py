@@ -29,7 +29,7 @@ from dafw.core.priors import Prior
 from dafw.core.rng import MemberStreams
 from dafw.core.sharing import Shared
 from dafw.core.space import FIELD, POSITIVE, Array, Kind, Variable
-from dafw.plugins.models.wind_record import WindFile, wind_files
+from dafw.plugins.models.wind_record import WindFile
 
 if TYPE_CHECKING:
     from dafw.plugins.models.wind_record import WindRecord
@@ -143,7 +143,9 @@ class Leak(Model):
     @property
     def input_files(self) -> Sequence[Path]:
         """The files with the wind."""
-        return wind_files(self.wind)
+        from dafw.plugins.readings.files.any_file import paths_of
+
+        return paths_of(self.wind)
 
     @cached_property
     def record(self) -> WindRecord:

@@ -27,7 +27,7 @@ from dafw.core.options import option
 from dafw.core.rng import MemberStreams
 from dafw.core.space import NONNEGATIVE, POSITIVE, Array, Kind, StateSpace, Variable
 from dafw.plugins.models.puffs.leak import PRIORS, UNKNOWN, Leak
-from dafw.plugins.models.puffs.track import Track, TrackFile, read_track, track_files
+from dafw.plugins.models.puffs.track import Track, TrackFile, read_track
 
 
 @dataclass
@@ -45,7 +45,9 @@ class PuffsTrack(Leak):
     @property
     def input_files(self) -> Sequence[Path]:
         """The files with the wind and with the track."""
-        return [*super().input_files, *track_files(self.track)]
+        from dafw.plugins.readings.files.any_file import paths_of
+
+        return [*super().input_files, *paths_of(self.track)]
 
     @property
     def named(self) -> str:

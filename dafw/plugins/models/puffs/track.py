@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -48,13 +47,6 @@ def of_rows(time: Array, places: Array) -> Track:
     means = [np.bincount(group, places[:, axis], len(moments)) / count for axis in range(3)]
     means[2] = np.maximum(means[2], 0.0)
     return Track(moments, np.stack(means, axis=1))
-
-
-def track_files(options: TrackFile) -> Sequence[Path]:
-    """Return the files that the options name; none for listed points. Raises ReadingsError if they are not there."""
-    from dafw.plugins.readings.files.any_file import paths_of
-
-    return paths_of(options) if options.file else ()
 
 
 def read_track(options: TrackFile, label: str) -> Track:

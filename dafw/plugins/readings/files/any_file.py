@@ -27,11 +27,11 @@ def path_of(options: FileOptions) -> Path:
 
 
 def paths_of(options: FileOptions) -> list[Path]:
-    """Return the paths of all files that the options name; raises ReadingsError if there are none.
+    """Return the paths of the files that the options name, if they name any; raises ReadingsError if there are none.
 
     The one that ships with dafw is not among them: it is as old as dafw.
     """
-    if options.file == EXAMPLE:
+    if options.file in ("", EXAMPLE):
         return []
     return list(files_of(options.file).values()) if is_pattern(options.file) else [path_of(options)]
 

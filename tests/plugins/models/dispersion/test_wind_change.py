@@ -295,7 +295,7 @@ def test_a_wind_that_cannot_be_read_is_refused_before_a_run(small_model, make):
 
 
 def test_a_model_says_from_which_files_its_wind_comes(small_model, recorded):
-    assert AdvectionDiffusion.from_options(**small_model).input_files == ()
+    assert AdvectionDiffusion.from_options(**small_model).input_files == []
     wind = recorded(lambda t: 4.0 + 0.0 * t, lambda t: 0.0 * t)
     model = AdvectionDiffusion.from_options(**small_model, wind_change=wind)
     assert [str(path) for path in model.input_files] == [wind["measured"]["file"]]
