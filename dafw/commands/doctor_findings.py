@@ -35,6 +35,7 @@ PACKAGES = {
     "netCDF4": "netcdf4",
     "numba": "numba",
     "numpy": "numpy",
+    "PIL": "pillow",
     "pint": "pint",
     "platformdirs": "platformdirs",
     "psutil": "psutil",
