@@ -35,7 +35,8 @@ def scored_variable(run: Dataset) -> str:
 
 def scalar_variables(run: Dataset) -> list[str]:
     """Return the state variables of one number each (estimated parameters, the wind), in the order of the file."""
-    names = [str(name).removesuffix("_mean") for name, a in run.data_vars.items() if a.dims == ("time",)]
+    means = [str(name) for name, a in run.data_vars.items() if a.dims == ("time",) and str(name).endswith("_mean")]
+    names = [name.removesuffix("_mean") for name in means]
     # The mean of the innovations has neither a forecast nor a spread.
     return [name for name in names if {f"{name}_mean", f"{name}_forecast_mean", f"{name}_spread"} <= set(run.data_vars)]
 
@@ -70,10 +71,25 @@ def _holds_numbers(run: Dataset, name: str) -> bool:
 def stage(run: Dataset, variable: str, name: str) -> np.ndarray | None:
     """Return a state variable at a stage (``truth``, ``free``, ``smoothed_mean``); None if it is not recorded.
 
-    A truth of another kind than the model may lack some of the model's variables: they hold NaN.
+    A truth of another kind than the model may lack some of the model's variables: they hold NaN. A belief that was
+    never revised is none that could be shown beside the belief.
     """
     full = f"{variable}_{name}"
-    return run[full].values if _holds_numbers(run, full) else None
+    if not _holds_numbers(run, full) or (name.startswith("smoothed_") and not is_revised(run, full)):
+        return None
+    return np.asarray(run[full].values)
+
+
+def is_revised(run: Dataset, name: str) -> bool:
+    """Return whether a smoothed variable differs anywhere from that of the belief as it was known then."""
+    return not np.array_equal(run[name].values, run[name.replace("smoothed_", "")].values, equal_nan=True)
+
+
+def has_revised_errors(run: Dataset) -> bool:
+    """Return whether beliefs were revised later, and compared with a truth."""
+    return _holds_numbers(run, "err_smoothed") and not np.array_equal(
+        run["err_smoothed"].values, run["err"].values, equal_nan=True
+    )
 
 
 def has_section(run: Dataset) -> bool:

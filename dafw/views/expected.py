@@ -9,8 +9,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from dafw.core.errors import RunError
-from dafw.views.contents import time_units
-from dafw.views.style import BELIEF_COLOUR, FREE_COLOUR, TRUTH_COLOUR, new_figure, outside_legend, time_axis
+from dafw.views.contents import label, scored_variable, time_units
+from dafw.views.style import BELIEF_COLOUR, FREE_COLOUR, HALO, TRUTH_COLOUR, new_figure, outside_legend, time_axis
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -68,12 +68,15 @@ def plot_expected(run: Dataset) -> Figure:
         axes.plot(time[rows], values, ".", color=TRUTH_COLOUR, markersize=3.5, gid="read")
         axes.plot(time, run["filter_background"].values[:, number], color=FREE_COLOUR, linewidth=1.0, gid="background")
         axes.plot(time, run["filter_expected"].values[:, number], color=BELIEF_COLOUR, linewidth=1.3, gid="expected")
-        axes.set_ylabel(name, rotation=0, ha="right", va="center")
+        axes.text(
+            0.008, 0.94, name, transform=axes.transAxes, ha="left", va="top", fontweight="bold", path_effects=HALO
+        )
         time_axis(axes, time, time_units(run) if axes is panels[-1] else "")
     handles = [
         Line2D([], [], color=TRUTH_COLOUR, marker=".", linestyle="none", label="read"),
         Line2D([], [], color=BELIEF_COLOUR, label="expected before it was read"),
         Line2D([], [], color=FREE_COLOUR, label="background"),
     ]
+    figure.supylabel(label(run, scored_variable(run)), fontsize=10)
     outside_legend(figure, handles, "upper")
     return figure

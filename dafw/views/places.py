@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
 from dafw.core.errors import RunError
 from dafw.views.contents import landmarks
-from dafw.views.style import SPREAD, TRUTH_COLOUR, new_figure
+from dafw.views.style import SPREAD, TRUTH_COLOUR, new_figure, outside_legend
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -70,6 +72,11 @@ def rows_shown(run: Dataset, count: int = 3) -> list[int]:
     return sorted({*rows, run.sizes["time"] - 1})
 
 
+MEAN: dict[str, Any] = {"marker": "+", "color": "#D55E00", "markersize": 9, "markeredgewidth": 1.6}
+RELEASE: dict[str, Any] = {"marker": "x", "color": TRUTH_COLOUR, "markersize": 7}
+PATH: dict[str, Any] = {"color": "0.45", "linewidth": 0.8}
+
+
 def plot_places(run: Dataset) -> Figure:
     """Draw the density of the source's place at some times, with the regions that hold 50 and 90 % of it.
 
@@ -79,12 +86,24 @@ def plot_places(run: Dataset) -> Figure:
     if not has_places(run):
         raise RunError("a map of the source's place needs the members' release_x and release_y, which this run lacks")
     rows = rows_shown(run)
-    figure = new_figure(3.4 * len(rows) + 0.6, 3.9, maps=True)
+    figure = new_figure(3.4 * len(rows) + 0.6, 4.3, maps=True)
     for axes, row in zip(figure.subplots(1, len(rows), squeeze=False)[0], rows, strict=True):
         _draw(axes, run, row)
         axes.set_title(f"t = {float(run['time'][row]):g} s", fontsize=10)
         axes.set_xlabel("x (m)")
     figure.axes[0].set_ylabel("y (m)")
+    handles = [
+        Patch(color=SPREAD(0.6), label="likely places"),
+        Line2D([], [], color=TRUTH_COLOUR, linewidth=1.4, label="50 % lie inside"),
+        Line2D([], [], color=TRUTH_COLOUR, linewidth=0.8, label="90 %"),
+        Line2D([], [], **MEAN, linestyle="none", label="mean"),
+    ]
+    marks = landmarks(run)
+    if "release" in marks:
+        handles.append(Line2D([], [], **RELEASE, linestyle="none", label="the source"))
+    if any(name.endswith(" from") for name in marks):
+        handles.append(Line2D([], [], **PATH, label="path of a sensor"))
+    outside_legend(figure, handles, "lower")
     return figure
 
 
@@ -106,12 +125,12 @@ def _draw(axes: Axes, run: Dataset, row: int) -> None:
         axes.contour(x, y, levels, levels=edges, colors=TRUTH_COLOUR, linewidths=(0.8, 1.4))
     for name, place in marks.items():
         if name.endswith(" from") and (end := marks.get(f"{name.removesuffix(' from')} to")) is not None:
-            axes.plot(*np.array([place, end]).T, color="0.45", linewidth=0.8, gid="path")
+            axes.plot(*np.array([place, end]).T, **PATH, gid="path")
             axes.annotate(name.removesuffix(" from"), (end[0], end[1]), fontsize=7, color="0.35", ha="center", va="top")
     mean = weights @ places
-    axes.plot(*mean, "+", color="#D55E00", markersize=9, markeredgewidth=1.6, gid="mean")
+    axes.plot(*mean, **MEAN, gid="mean")
     if "release" in marks:
-        axes.plot(*marks["release"], "x", color=TRUTH_COLOUR, markersize=7, gid="release")
+        axes.plot(*marks["release"], **RELEASE, gid="release")
     axes.set_aspect("equal")
     axes.set_xlim(low[0], high[0])
     axes.set_ylim(low[1], high[1])

@@ -11,6 +11,7 @@ from dafw.core.domain import node_areas
 from dafw.views.contents import (
     has_innovations,
     has_map,
+    has_revised_errors,
     has_truth,
     is_angle,
     is_positive,
@@ -96,6 +97,8 @@ def _scores(run: Dataset) -> list[dict[str, Any]]:
     charts = []
     if has_truth(run):
         names = {"err": "mean", "err_free": "free", "err_smoothed": "smoothed_mean"}
+        if not has_revised_errors(run):
+            del names["err_smoothed"]
         lines = [_line(role, STAGES[role], run[name].values) for name, role in names.items() if name in run]
         charts.append(
             {

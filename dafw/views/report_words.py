@@ -36,7 +36,7 @@ def words_of(run: Dataset, folder: Path) -> dict[str, Any]:
             if table["rows"]
         ],
         "configuration": _text(folder / ".hydra" / "config.yaml"),
-        "command": "" if overrides is None else shlex.join(["dafw", "run", *overrides]),
+        "command": "" if overrides is None else shlex.join(["dafw", "run", *_own_folder(folder), *overrides]),
     }
 
 
@@ -49,6 +49,21 @@ def overrides_of(folder: Path) -> list[str] | None:
     except (OSError, UnicodeError, yaml.YAMLError):
         return None
     return [str(item) for item in listed] if isinstance(listed, list) else None
+
+
+def _own_folder(folder: Path) -> list[str]:
+    """Return the option that named a folder of configuration, seen from where the run was started; [] if none was."""
+    import yaml
+
+    try:
+        told = yaml.safe_load((folder / ".hydra" / "hydra.yaml").read_text(encoding="utf-8"))["hydra"]["runtime"]
+        own = [Path(one["path"]) for one in told["config_sources"] if one["provider"] == "command-line"]
+        started = Path(told["cwd"])
+    except (OSError, UnicodeError, yaml.YAMLError, LookupError, TypeError):
+        return []
+    if not own:
+        return []
+    return ["--config-dir", str(own[0].relative_to(started) if own[0].is_relative_to(started) else own[0])]
 
 
 def _about(run: Dataset, summary: dict[str, Any]) -> list[list[str]]:

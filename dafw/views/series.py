@@ -13,6 +13,7 @@ from matplotlib.lines import Line2D
 from dafw.core.errors import RunError
 from dafw.views.contents import (
     has_free_run,
+    has_revised_errors,
     has_truth,
     is_angle,
     is_positive,
@@ -60,7 +61,7 @@ def plot_errors(runs: Mapping[str, Dataset]) -> Figure:
         if run is longest or not shared:
             colour = FREE_COLOUR if shared else styles[text]["color"]
             axes.plot(run["time"].values, run["err_free"].values, "--", color=colour, linewidth=1.5, gid="free")
-    revised = {text: run for text, run in scored.items() if "err_smoothed" in run}
+    revised = {text: run for text, run in scored.items() if has_revised_errors(run)}
     for text, run in revised.items():
         colour = REVISED_COLOUR if len(runs) == 1 else styles[text]["color"]
         axes.plot(run["time"].values, run["err_smoothed"].values, color=colour, linewidth=1.0, gid="smoothed")

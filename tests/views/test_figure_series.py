@@ -200,9 +200,15 @@ def test_a_truth_of_another_kind_has_no_line_where_it_has_no_such_variable(plant
 def test_the_mean_of_the_innovations_is_no_parameter(plant_run, ring_run):
     assert scalar_variables(plant_run) == ["wind_speed", "wind_direction"]
     assert scalar_variables(ring_run.assign(innovation_mean=ring_run["err"])) == []
+    # `spread` is the name of a score; a number of the state may have it, too.
+    named = {f"spread{stage}": plant_run["wind_speed_mean"] for stage in ("_mean", "_forecast_mean", "_spread")}
+    assert scalar_variables(plant_run.assign(named)) == ["wind_speed", "wind_direction", "spread"]
 
 
 def test_parameters_that_were_revised_later_are_drawn_beside_the_belief(plant_run):
+    same = plant_run.assign(wind_speed_smoothed_mean=plant_run["wind_speed_mean"], err_smoothed=plant_run["err"])
+    assert "as revised later" not in legend_texts(plot_parameters(same)), "nothing was revised"
+    assert not lines(plot_errors({"one": same}).axes[0], "smoothed")
     figure = plot_parameters(plant_run.assign(wind_speed_smoothed_mean=plant_run["wind_speed_mean"] + 1.0))
     (revised,) = lines(figure.axes[0], "smoothed")
     np.testing.assert_array_equal(revised.get_ydata(), plant_run["wind_speed_mean"] + 1.0)

@@ -34,11 +34,13 @@ def made_run(spreads=(30.0, 10.0, 1.0)):
             "landmark_y": ("landmark", [0.0, 100.0, 41.0]),
             "filter_expected": (("time", "n"), np.arange(2.0 * rows).reshape(rows, 2)),
             "filter_background": (("time", "n"), np.ones((rows, 2))),
+            "path_mean": ("time", np.ones(rows), {"units": "ppm"}),
             "observation_value": (("time", "observation"), values),
             "observation_sensor": (("time", "observation"), sensors),
             "sensor_name": ("sensor", np.array(["right", "left"], dtype=object)),
         },
         coords={"time": 60.0 * np.arange(rows)},
+        attrs={"scored_variable": "path"},
     )
 
 
@@ -78,13 +80,16 @@ def test_a_map_shows_paths_and_the_true_place():
     np.testing.assert_array_equal(drawn["release"].get_xydata(), [[50.0, 41.0]])
     np.testing.assert_allclose(drawn["mean"].get_xydata(), [[50.0, 40.0]], atol=0.3)
     assert axes.get_title() == "t = 120 s"
+    told = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert told == ["likely places", "50 % lie inside", "90 %", "mean", "the source", "path of a sensor"]
 
 
 def test_expected_readings_stand_beside_those_of_their_sensor():
     figure = plot_expected(told(made_run()))
     upper, lower = figure.axes
     lines = {line.get_gid(): line for line in upper.get_lines()}
-    assert upper.get_ylabel() == "left" and lower.get_ylabel() == "right"
+    assert [axes.texts[0].get_text() for axes in (upper, lower)] == ["left", "right"]
+    assert figure.get_supylabel() == "path (ppm)"
     np.testing.assert_array_equal(lines["expected"].get_ydata(), [0.0, 2.0, 4.0])
     np.testing.assert_array_equal(lines["read"].get_xydata(), [[60.0, 7.0], [120.0, 9.0]])
     (read,) = [line for line in lower.get_lines() if line.get_gid() == "read"]

@@ -14,6 +14,7 @@ from hypothesis.extra.numpy import arrays
 
 from dafw.commands import main
 from dafw.core.domain import node_areas
+from dafw.core.runs import open_run
 from dafw.views import report_fields
 from dafw.views.report_curves import curves_of, numbers, plain_units
 from dafw.views.report_fields import kept_rows, packed, packed_fields, unpacked
@@ -213,3 +214,16 @@ def test_a_wrong_request_is_one_line(words, said, plant_folder, capsys, tmp_path
     assert main(["report", *asked]) == 2
     line = capsys.readouterr().err
     assert re.search(said, line) and line.count("\n") == 1
+
+
+def test_the_command_of_a_run_names_the_folder_of_its_configuration(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "my" / "experiment").mkdir(parents=True)
+    mine = "# @package _global_\ndefaults: [linear_advection, _self_]\nname: mine\n"
+    (tmp_path / "my" / "experiment" / "mine.yaml").write_text(mine)
+    words = ["--config-dir", "my", "experiment=mine", "cycles=2", "pictures=false"]
+    assert main(["run", *words, "hydra.run.dir=done"]) == 0
+    with open_run(tmp_path / "done") as run:
+        command = words_of(run, tmp_path / "done")["command"]
+    assert command == "dafw run --config-dir my experiment=mine cycles=2 pictures=false"
+    assert main([*command.split()[1:], "hydra.run.dir=again"]) == 0

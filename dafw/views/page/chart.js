@@ -86,7 +86,6 @@ export class Chart {
     context.clearRect(0, 0, width, height);
     const y = verticalRange(spec, this.log);
     this.axes = new Axes(context, width, height, [time.values[0], time.values[time.values.length - 1]], y, this.log);
-    if (spec.units === "°") this.axes.labels = this.axes.ticks.map((tick) => tickLabel(((tick % 360) + 360) % 360));
     this.axes.drawGrid(theme.colours, time.units);
     this.axes.clipped(() => {
       if (spec.reference) this.drawReference();
