@@ -75,21 +75,21 @@ def stage(run: Dataset, variable: str, name: str) -> np.ndarray | None:
     never revised is none that could be shown beside the belief.
     """
     full = f"{variable}_{name}"
-    if not _holds_numbers(run, full) or (name.startswith("smoothed_") and not is_revised(run, full)):
+    if not _holds_numbers(run, full):
+        return None
+    if name.startswith("smoothed_") and not _is_revised(run, full, f"{variable}_{name.removeprefix('smoothed_')}"):
         return None
     return np.asarray(run[full].values)
 
 
-def is_revised(run: Dataset, name: str) -> bool:
-    """Return whether a smoothed variable differs anywhere from that of the belief as it was known then."""
-    return not np.array_equal(run[name].values, run[name.replace("smoothed_", "")].values, equal_nan=True)
-
-
 def has_revised_errors(run: Dataset) -> bool:
     """Return whether beliefs were revised later, and compared with a truth."""
-    return _holds_numbers(run, "err_smoothed") and not np.array_equal(
-        run["err_smoothed"].values, run["err"].values, equal_nan=True
-    )
+    return _holds_numbers(run, "err_smoothed") and _is_revised(run, "err_smoothed", "err")
+
+
+def _is_revised(run: Dataset, later: str, then: str) -> bool:
+    """Return whether a variable as it was known later differs anywhere from what was known then."""
+    return not np.array_equal(run[later].values, run[then].values, equal_nan=True)
 
 
 def has_section(run: Dataset) -> bool:
