@@ -8,8 +8,9 @@ with the prior p, the likelihood L of all readings so far, and the mixture q of 
 So a sample stays of use for good: new readings only change its likelihood. The first batch is the first guess, with q_0
 = p. A further batch is proposed where the weights are degenerate, that is, where their effective sample size is below
 ``enough``. If they are good, but even the best sample misses the readings by more than their errors allow
-(explained.py), one batch is proposed, and more if the weights are bad then. In cycles without readings this goes on. A
-batch is drawn from ::
+(explained.py), one batch is proposed, and more if the weights are bad then. If it needs the largest of several sizes of
+the model's error, batches are proposed as long as there are steps: at that size a wrong wind explains much. In cycles
+without readings this goes on. A batch is drawn from ::
 
     q_b = fresh p + (1 - fresh) (mean over centres c and widths h of t_5(z; c, h^2 C))
 
@@ -49,7 +50,7 @@ from dafw.plugins.filters.candidates import (
     tried,
 )
 from dafw.plugins.filters.controls import Controls
-from dafw.plugins.filters.explained import is_explained
+from dafw.plugins.filters.explained import errs_most, is_explained
 from dafw.plugins.filters.kernels import Kernels
 from dafw.plugins.filters.likelihood import Likelihood
 from dafw.plugins.filters.linearised import can_linearise, linearised
@@ -132,7 +133,7 @@ class AMIS(Filter):
             enough = min(self.enough * size, EQUAL * len(samples))
             good = effective_size(weights) >= enough
             finished = good and is_explained(window, samples, self.likelihood)
-            if finished or (good and batches):
+            if finished or (good and batches and not errs_most(samples, self.likelihood)):
                 break
             if cost * (batches + 1) > self.steps or batches == self.batches:
                 break

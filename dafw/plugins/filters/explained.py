@@ -13,7 +13,8 @@ If m is such an error, d has the mean and the variance ::
     (v + 1) / 2 (psi((v + 1) / 2) - psi(v / 2))    ((v + 1) / 2)^2 (psi'(v / 2) - psi'((v + 1) / 2))
 
 because m^2 / v is then a ratio of two gamma variables. K readings count as k = K ``independence``. They are explained
-if ``independence`` sum d <= k mean + 2 sqrt(k variance) + 1.
+if ``independence`` sum d <= k mean + 2 sqrt(k variance) + 1, and if the model's error that this takes is not the
+largest of several sizes: with it, a wrong sample may explain readings where the drone happens to be.
 """
 
 from __future__ import annotations
@@ -39,6 +40,8 @@ def is_explained(window: Window, samples: Candidates, likelihood: Likelihood) ->
         return True
     best = np.array([int(np.argmax(likelihood.averaged(samples.fit)))])
     fit = samples.fit[best]
+    if errs_most(samples, likelihood):
+        return False
     shown = as_shown(window, samples.predicted[best], fit, np.ones(1), likelihood)[0]
     # Correlations play no part here, and the covariance of all readings may be a large matrix.
     variances = np.concatenate([cycle.observation.variance for cycle in window.cycles])
@@ -56,6 +59,14 @@ def is_explained(window: Window, samples: Candidates, likelihood: Likelihood) ->
         variance = float(half**2 * (polygamma(1, 0.5 * degrees) - polygamma(1, half)))
     count = likelihood.independence * missed.size
     return bool(likelihood.independence * cost.sum() <= 1.0 + count * mean + 2.0 * np.sqrt(count * variance))
+
+
+def errs_most(samples: Candidates, likelihood: Likelihood) -> bool:
+    """Return whether the best sample needs the largest of several sizes of the model's error, absolute or relative."""
+    best = int(np.argmax(likelihood.averaged(samples.fit)))
+    used = likelihood.sizes[int(np.argmax(samples.fit[best])) % len(likelihood.sizes)]
+    sizes = likelihood.absolute, likelihood.relative
+    return any(len(set(size)) > 1 and one == max(size) for one, size in zip(used, sizes, strict=True))
 
 
 def _is_seen(window: Window, values: Array, likelihood: Likelihood) -> NDArray[np.bool_]:

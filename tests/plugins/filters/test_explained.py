@@ -43,9 +43,9 @@ def judged(values, predicted, likelihood, limits=None):
 LIKELIHOODS = {
     "normal": Likelihood(absolute=[0.1]),
     "student": Likelihood(absolute=[0.1], degrees_of_freedom=4.0),
-    "relative": Likelihood(relative=[0.1, 0.3]),
+    "relative": Likelihood(relative=[0.1, 0.3, 3.0]),
     "half": Likelihood(absolute=[0.1], degrees_of_freedom=4.0, independence=0.5),
-    "several sizes": Likelihood(absolute=[0.01, 0.1, 0.5], relative=[0.02, 0.1], independence=0.5),
+    "several sizes": Likelihood(absolute=[0.01, 0.1, 0.5, 5.0], relative=[0.02, 0.1, 1.0], independence=0.5),
 }
 
 
@@ -59,7 +59,10 @@ def errors(likelihood, size, rng):
 @pytest.mark.parametrize("size", [5, 50, 800])
 def test_errors_as_large_as_they_are_said_to_be_are_explained_and_larger_ones_are_not(name, size):
     likelihood, rng = LIKELIHOODS[name], np.random.default_rng(1000)
-    absolute, relative = likelihood.sizes[-1]
+    # The largest of several sizes is not taken for an explanation (see below).
+    absolute, relative = (
+        size[-2] if len(size) > 2 else size[-1] for size in (likelihood.absolute, likelihood.relative)
+    )
     right, wrong = [], []
     for _ in range(60):
         predicted = rng.uniform(0.5, 1.0, size)
@@ -73,7 +76,7 @@ def test_errors_as_large_as_they_are_said_to_be_are_explained_and_larger_ones_ar
 
 def test_readings_that_all_samples_miss_as_far_as_they_can_are_not_explained():
     """Five of eight readings show gas, of which the best sample knows nothing: each is missed by 1 / 0.3 of a scale."""
-    likelihood = Likelihood(absolute=[0.001], relative=[0.02, 0.3], degrees_of_freedom=4.0, independence=0.5)
+    likelihood = Likelihood(absolute=[0.001], relative=[0.3], degrees_of_freedom=4.0, independence=0.5)
     values = np.array([50.0, 30.0, 20.0, 40.0, 30.0, 0.0, 0.0, 0.0])
     assert not judged(values, np.zeros(8), likelihood)
     assert judged(values, 1.1 * values, likelihood)
@@ -107,3 +110,18 @@ def test_slow_sensors_are_compared_as_they_show():
 
 def test_without_readings_nothing_is_judged():
     assert judged(np.empty(0), np.empty(0), LIKELIHOODS["normal"])
+
+
+@pytest.mark.parametrize(
+    ("sizes", "expected"),
+    [
+        ({"relative": [0.01, 0.3]}, False),
+        ({"relative": [0.01, 0.3, 3.0]}, True),
+        ({"relative": [0.3]}, True),
+        ({"absolute": [0.01, 0.3]}, False),
+    ],
+)
+def test_what_takes_the_largest_of_several_errors_of_the_model_is_not_explained(sizes, expected):
+    predicted = np.ones(200)
+    errors = 0.35 * np.random.default_rng(1001).standard_normal(200)
+    assert judged(predicted + errors, predicted, Likelihood(**sizes)) is expected
